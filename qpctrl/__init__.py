@@ -1,0 +1,36 @@
+"""Optimization-based whole-body control for robots that move along a surface and push on it."""
+
+from qpctrl.constraint import Constraint, FaceOnPlane, Pfaffian, PfaffianRows
+from qpctrl.controller import Controller, Measurement, Memory
+from qpctrl.errors import InputError, ModelMismatchError, QpctrlError
+from qpctrl.mode import Mode
+from qpctrl.objective import Weighted
+from qpctrl.report import ActiveLimit, Command, TickReport, Yield
+from qpctrl.robot import Limits, Robot, from_pinocchio, from_urdf
+from qpctrl.space import TaskSpace
+from qpctrl.status import Status
+
+__all__ = [
+    "ActiveLimit",
+    "Command",
+    "Constraint",
+    "Controller",
+    "FaceOnPlane",
+    "InputError",
+    "Limits",
+    "Measurement",
+    "Memory",
+    "Mode",
+    "ModelMismatchError",
+    "Pfaffian",
+    "PfaffianRows",
+    "QpctrlError",
+    "Robot",
+    "Status",
+    "TaskSpace",
+    "TickReport",
+    "Weighted",
+    "Yield",
+    "from_pinocchio",
+    "from_urdf",
+]

@@ -1,0 +1,68 @@
+"""The certificate of a tick: KKT residuals, gaps to both laws, what each task gave.
+
+One CasADi function of the solver's answer and the tick's outputs.
+"""
+
+import casadi as ca
+
+from qpctrl.limit import UNBOUNDED
+from qpctrl.spatial import SX
+from qpctrl.tick import Tick
+
+KKT_TOLERANCE = 1e-9
+"""Largest KKT residual of a tick that is accepted."""
+
+INPUTS = (
+    *("H", "g", "A", "b", "C", "lb", "ub", "T", "t"),
+    *("tau_textbook", "tau_hybrid", "curvature", "x_law", "G"),
+)
+"""Outputs of the tick that the certificate reads, after x, y and z."""
+
+
+def build_certificate(tick: Tick) -> ca.Function:
+    """Return (x, y, z, *INPUTS) → (tau, kkt, gaps, give) for one tick.
+
+    ``kkt`` (4): stationarity, equality, inequality, complementarity, all absolute.
+    ``gaps`` (4), relative to max |τ|: QP − hybrid, QP − textbook, QP − textbook + curvature,
+    curvature. ``give``: G (x − x_law), what each task gets beyond the hybrid law.
+    """
+    f = tick.function
+    s = {name: ca.SX.sym(name, *f.size_out(name)) for name in INPUTS}
+    x, y, z = (ca.SX.sym(n, s[of].shape[0]) for n, of in (("x", "g"), ("y", "b"), ("z", "lb")))
+    tau = s["T"] @ x + s["t"]
+    size = ca.fmax(_largest(s["tau_hybrid"]), _largest(tau))
+    gaps = ca.vertcat(
+        _largest(tau - s["tau_hybrid"]),
+        _largest(tau - s["tau_textbook"]),
+        _largest(tau - s["tau_textbook"] + s["curvature"]),
+        _largest(s["curvature"]),
+    )
+    return ca.Function(
+        "certificate",
+        [x, y, z, *s.values()],
+        [tau, _kkt(s, x, y, z), gaps / size, s["G"] @ (x - s["x_law"])],
+        ["x", "y", "z", *s],
+        ["tau", "kkt", "gaps", "give"],
+        {"cse": True},
+    )
+
+
+def _kkt(s: dict[str, SX], x: SX, y: SX, z: SX) -> SX:
+    Cx = s["C"] @ x
+    stationarity = s["H"] @ x + s["g"] + s["A"].T @ y + s["C"].T @ z
+    above, below = s["ub"] - Cx, Cx - s["lb"]
+    push_down, push_up = ca.fmax(z, 0), ca.fmax(-z, 0)
+    complementarity = ca.fmax(
+        push_down * ca.if_else(s["ub"] < UNBOUNDED / 2, ca.fabs(above), 1),
+        push_up * ca.if_else(s["lb"] > -UNBOUNDED / 2, ca.fabs(below), 1),
+    )
+    return ca.vertcat(
+        _largest(stationarity),
+        _largest(s["A"] @ x - s["b"]),
+        ca.fmax(_largest(ca.fmax(-above, 0)), _largest(ca.fmax(-below, 0))),
+        _largest(complementarity),
+    )
+
+
+def _largest(vector: SX) -> SX:
+    return ca.mmax(ca.vertcat(0, ca.fabs(vector)))

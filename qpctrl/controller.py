@@ -1,0 +1,202 @@
+"""The control tick: measurement and references in, torque and report out."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from qpctrl.arrays import Vector, positive
+from qpctrl.certificate import KKT_TOLERANCE
+from qpctrl.engine import Engine
+from qpctrl.errors import InputError, unknown_name
+from qpctrl.fallback import Fallback
+from qpctrl.mode import Mode
+from qpctrl.objective import Reference
+from qpctrl.rank import DependentRows, independent
+from qpctrl.report import Command, TickReport
+from qpctrl.robot import Robot
+from qpctrl.solver import make_solver
+from qpctrl.status import Status
+
+Law = Literal["qp", "hybrid", "textbook"]
+
+
+class Measurement(NamedTuple):
+    """What the sensors say at one tick."""
+
+    time: float
+    """Time of the measurement [s]; each must be later than the one before."""
+    q: Vector
+    """Configuration (nq) [rad or m]."""
+    v: Vector
+    """Velocity (nv) [rad/s or m/s]."""
+    in_contact: bool = True
+    """Whether the contacts of the mode are closed; integrators hold where they are not."""
+
+
+class Memory(NamedTuple):
+    """What one tick hands to the next."""
+
+    mode: str
+    x: Vector
+    """Memory of the mode's tasks, packed."""
+    tau: Vector
+    """Torque sent last (nu) [Nm]."""
+    time: float
+    """Time of the last good measurement [s]."""
+    q: Vector
+    """Configuration of the last good measurement (nq) [rad or m]."""
+    v: Vector
+    """Velocity of the last good measurement (nv) [rad/s or m/s]."""
+    freeze: bool = False
+    """Whether integrators hold at the next tick."""
+    fallback_ticks: int = 0
+    """Ticks so far that sent the fallback torque."""
+
+
+class Controller:
+    """A whole-body controller for one robot and a set of modes.
+
+    Frozen data in, frozen data out: all that one tick leaves to the next is in `Memory`, but
+    for the solver's warm start.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        modes: Sequence[Mode],
+        *,
+        dt: float = 1e-3,
+        solver: str = "proxsuite",
+        form: str = "reduced",
+        law: Law = "qp",
+        dependent_rows: DependentRows = "refuse",
+        kkt_tolerance: float = KKT_TOLERANCE,
+    ) -> None:
+        """Build the tick of every mode.
+
+        Args:
+            robot: the robot as the controller believes it to be.
+            modes: the sets of constraints and tasks to switch between.
+            dt: period of the loop [s].
+            solver: ``proxsuite`` or an installed back-end of qpsolvers.
+            form: ``reduced`` or ``full``.
+            law: whose torque is sent; all of them are computed and compared.
+            dependent_rows: ``refuse`` or ``drop`` rows of A that depend on others at home.
+            kkt_tolerance: largest residual of a tick that is accepted.
+
+        Raises:
+            InputError: a name, gain, matrix or mode that cannot be used.
+        """
+        if law not in ("qp", "hybrid", "textbook"):
+            raise unknown_name("law", law, ("qp", "hybrid", "textbook"))
+        if not modes:
+            raise InputError("controller: need at least one mode")
+        self.robot, self.dt, self.law = robot, float(positive(dt, (), "dt")), law
+        tolerance = float(positive(kkt_tolerance, (), "kkt_tolerance"))
+        self._fallback = Fallback(robot)
+        self.engines: dict[str, Engine] = {}
+        for mode in modes:
+            usable = independent(robot, mode, dependent_rows)
+            self.engines[mode.name] = Engine(
+                robot, usable, form, make_solver(solver), self.dt, tolerance
+            )
+
+    def start(self, mode: str, q: Vector) -> Memory:
+        """Return the memory of a controller that holds still at ``q`` (nq) in ``mode``."""
+        zero = np.zeros(self.robot.nv)
+        x = self._engine(mode).tick.memory.vector()
+        return Memory(mode, x, self._fallback.torque(q, zero), -math.inf, np.array(q), zero)
+
+    def step(
+        self,
+        mode: str,
+        measurement: Measurement,
+        references: Mapping[str, Reference],
+        memory: Memory,
+    ) -> tuple[Command, TickReport, Memory]:
+        """Return the torque of this tick, its report, and the memory for the next.
+
+        Never raises on bad numbers: NaN and stale measurements, infeasible limits and
+        inaccurate solutions send the fallback torque and are counted.
+
+        Args:
+            mode: name of the active mode.
+            measurement: state of the robot.
+            references: what each task, by name, shall follow; a task left out keeps its
+                last reference.
+            memory: what the last tick, or `start`, returned.
+
+        Raises:
+            InputError: unknown mode, task or input name.
+        """
+        engine = self._engine(mode)
+        if memory.mode != mode:
+            memory = memory._replace(mode=mode, x=self._carry(memory, engine))
+        status = _judge(measurement, memory)
+        if status is Status.OK:
+            engine.load(measurement.q, measurement.v, references, memory)
+            report = engine.solve(measurement.time)
+        else:
+            report = engine.refuse(measurement.time, status)
+        if report.status is not Status.OK:
+            return self._hold(measurement, report, memory)
+        tau = self._choose(report, memory)
+        after = Memory(
+            mode=mode,
+            x=engine.memory_after(),
+            tau=tau,
+            time=measurement.time,
+            q=np.array(measurement.q),
+            v=np.array(measurement.v),
+            freeze=report.saturated or not measurement.in_contact,
+            fallback_ticks=memory.fallback_ticks,
+        )
+        return Command(tau, fallback=False), report, after
+
+    def _engine(self, mode: str) -> Engine:
+        if mode not in self.engines:
+            raise unknown_name("mode", mode, self.engines)
+        return self.engines[mode]
+
+    def _choose(self, report: TickReport, memory: Memory) -> Vector:
+        if self.law == "qp":
+            return report.tau_qp
+        tau = report.tau_hybrid if self.law == "hybrid" else report.tau_textbook
+        return self._fallback.clip(tau, memory.tau, self.dt)
+
+    def _hold(
+        self, measurement: Measurement, report: TickReport, memory: Memory
+    ) -> tuple[Command, TickReport, Memory]:
+        good = report.status not in (Status.NOT_FINITE, Status.STALE)
+        q, v = (measurement.q, measurement.v) if good else (memory.q, memory.v)
+        tau = self._fallback.clip(self._fallback.torque(q, v), memory.tau, self.dt)
+        after = memory._replace(
+            tau=tau,
+            time=measurement.time if good else memory.time,
+            q=np.array(q),
+            v=np.array(v),
+            freeze=True,
+            fallback_ticks=memory.fallback_ticks + 1,
+        )
+        return Command(tau, fallback=True), report, after
+
+    def _carry(self, memory: Memory, engine: Engine) -> Vector:
+        """Return the new mode's memory, with what both modes' tasks share taken over."""
+        layout = engine.tick.memory
+        x = layout.vector()
+        old = self.engines[memory.mode].tick.memory.views(memory.x)
+        for name, view in layout.views(x).items():
+            if name in old and old[name].shape == view.shape:
+                view[...] = old[name]
+        return x
+
+
+def _judge(measurement: Measurement, memory: Memory) -> Status:
+    q, v = measurement.q, measurement.v
+    if not math.isfinite(float(q.sum() + v.sum()) + measurement.time):
+        return Status.NOT_FINITE
+    if measurement.time <= memory.time:
+        return Status.STALE
+    return Status.OK

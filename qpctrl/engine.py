@@ -1,0 +1,195 @@
+"""One mode, ready to run: buffers, tick function, solver and certificate."""
+
+import math
+from collections.abc import Mapping
+from typing import Protocol
+
+import numpy as np
+
+from qpctrl import certificate
+from qpctrl.arrays import Vector
+from qpctrl.errors import unknown_name
+from qpctrl.evaluator import Evaluator
+from qpctrl.limit import UNBOUNDED
+from qpctrl.mode import Mode
+from qpctrl.objective import Reference
+from qpctrl.rank import dependent_rows
+from qpctrl.report import ActiveLimit, TickReport, Yield
+from qpctrl.robot import Robot
+from qpctrl.solver import QpData, Solution, Solver, polish
+from qpctrl.status import Status
+from qpctrl.tick import build_tick
+
+ACTIVE_DUAL = 1e-8
+"""A row counts as active when its dual is larger than this."""
+
+SINGULAR_PIVOT = 1e-5
+"""Pivot ratio of Λ⁻¹ below which it is damped."""
+
+SINGULAR_DAMPING = 0.05
+"""Damping μ at the singularity itself [1/kg, 1/(kg m²)]."""
+
+
+class TaskMemory(Protocol):
+    """The part of the controller's memory that a tick reads."""
+
+    @property
+    def x(self) -> Vector:
+        """Packed memory of the tasks."""
+
+    @property
+    def tau(self) -> Vector:
+        """Torque sent last (nu) [Nm]."""
+
+    @property
+    def freeze(self) -> bool:
+        """Whether integrators hold."""
+
+
+class Engine:
+    """The tick of one mode on preallocated buffers.
+
+    Attributes:
+        tick: the function and its names.
+        terms: its outputs by name; overwritten every tick.
+        inputs: its named inputs as writable views; gains and limits may be changed between
+            ticks.
+    """
+
+    def __init__(
+        self, robot: Robot, mode: Mode, form: str, solver: Solver, dt: float, tolerance: float
+    ) -> None:
+        self.tick = build_tick(robot, mode, form)
+        self._robot, self._solver, self._tolerance = robot, solver, tolerance
+        self._evaluate = Evaluator(self.tick.function)
+        self.terms = self._evaluate.outputs
+        self._certify = Evaluator(certificate.build_certificate(self.tick), self.terms)
+        self._u = self._evaluate.inputs["u"]
+        self._u[:] = self.tick.inputs.vector()
+        self.inputs = self.tick.inputs.views(self._u)
+        self.inputs["dt"][...] = dt
+        self._qp = QpData(*(self.terms[name] for name in QpData._fields))
+        self._k = self.tick.mode_rows
+
+    def load(
+        self, q: Vector, v: Vector, references: Mapping[str, Reference], memory: TaskMemory
+    ) -> None:
+        """Write state, references and memory into the buffers."""
+        self._evaluate.inputs["q"][:] = q
+        self._evaluate.inputs["v"][:] = v
+        self._evaluate.inputs["x"][:] = memory.x
+        self.inputs["limits.tau_last"][:] = memory.tau
+        self.inputs["freeze"][...] = memory.freeze
+        self.inputs["mu"][...] = 0.0
+        for task, reference in references.items():
+            for key, value in reference.arrays().items():
+                name = f"{task}.{key}"
+                if name not in self.inputs:
+                    raise unknown_name("task input", name, self.inputs)
+                self.inputs[name][...] = value
+
+    def solve(self, time: float) -> TickReport:
+        """Return the report of the tick that was loaded."""
+        if not math.isfinite(float(self._u.sum() / UNBOUNDED)):
+            return self.refuse(time, Status.NOT_FINITE)
+        self._evaluate()
+        damping = self._damp()
+        names = dependent_rows(self.tick, self.terms["row_pivots"])
+        if names:
+            return self.refuse(time, Status.DEPENDENT_ROWS, names)
+        solution = self._solver.solve(self._qp)
+        kkt = self._residual(solution)
+        if solution.feasible and not kkt <= self._tolerance:
+            kkt = self._residual(solution := polish(self._qp, solution))
+        if not kkt <= self._tolerance:
+            return self.refuse(time, Status.INACCURATE if solution.feasible else Status.INFEASIBLE)
+        return self._report(time, solution, damping)
+
+    def memory_after(self) -> Vector:
+        """Return the tasks' memory after the tick that was solved."""
+        return self.terms["memory"].copy()
+
+    def refuse(self, time: float, status: Status, rows: tuple[str, ...] = ()) -> TickReport:
+        """Return the report of a tick without a solution."""
+        nan = np.full(self._robot.nu, np.nan)
+        return TickReport(
+            time=time,
+            mode=self.tick.mode.name,
+            status=status,
+            tau_qp=nan,
+            tau_hybrid=nan,
+            tau_textbook=nan,
+            lam=np.full(self._k, np.nan),
+            kkt=np.full(4, np.nan),
+            law_gap=math.nan,
+            textbook_gap=math.nan,
+            unexplained_gap=math.nan,
+            curvature=math.nan,
+            active=(),
+            yields=(),
+            damping=0.0,
+            dependent_rows=rows,
+            signals=np.full(self.terms["signals"].shape, np.nan),
+        )
+
+    def _damp(self) -> float:
+        """Evaluate again with a damped Λ⁻¹ where its smallest pivot is too small."""
+        smallest = float(self.terms["space_pivots"].min(initial=1.0))
+        if smallest >= SINGULAR_PIVOT:
+            return 0.0
+        closeness = 1.0 - max(smallest, 0.0) / SINGULAR_PIVOT
+        damping = max(SINGULAR_DAMPING * closeness**2, SINGULAR_DAMPING * 1e-6)
+        self.inputs["mu"][...] = damping
+        self._evaluate()
+        return damping
+
+    def _residual(self, solution: Solution) -> float:
+        inputs = self._certify.inputs
+        inputs["x"][:], inputs["y"][:], inputs["z"][:] = solution[:3]
+        self._certify()
+        return float(self._certify.outputs["kkt"].max())
+
+    def _report(self, time: float, solution: Solution, damping: float) -> TickReport:
+        out, terms = self._certify.outputs, self.terms
+        gaps = out["gaps"].tolist()
+        active = np.flatnonzero(np.abs(solution.z) > ACTIVE_DUAL)
+        return TickReport(
+            time=time,
+            mode=self.tick.mode.name,
+            status=Status.OK,
+            tau_qp=out["tau"].copy(),
+            tau_hybrid=terms["tau_hybrid"].copy(),
+            tau_textbook=terms["tau_textbook"].copy(),
+            lam=solution.x[len(solution.x) - self._k :],
+            kkt=out["kkt"].copy(),
+            law_gap=gaps[0],
+            textbook_gap=gaps[1],
+            unexplained_gap=gaps[2],
+            curvature=gaps[3],
+            active=tuple(self._active(int(i), float(solution.z[i])) for i in active),
+            yields=self._yields() if len(active) else (),
+            damping=damping,
+            dependent_rows=(),
+            signals=terms["signals"].copy(),
+        )
+
+    def _active(self, row: int, dual: float) -> ActiveLimit:
+        kind, _, owner = self.tick.rows.inequality[row].partition(" ")
+        u, nu = self.inputs, self._robot.nu
+        if kind == "torque":
+            room = abs(abs(float(self._certify.outputs["tau"][row])) - u["limits.tau_max"][row])
+            kind = "torque" if room < 1e-6 else "torque rate"
+        elif kind == "acceleration":
+            i = row - nu
+            r_v, v = u["limits.rates"][1], self._evaluate.inputs["v"][i]
+            bound = self.terms["ub" if dual > 0 else "lb"][row]
+            by_speed = r_v * (np.copysign(u["limits.v_max"][i], dual) - v)
+            kind = "velocity" if abs(bound - by_speed) < 1e-9 * (1 + abs(bound)) else "position"
+        return ActiveLimit(f"{kind} {owner}", dual)
+
+    def _yields(self) -> tuple[Yield, ...]:
+        give = self._certify.outputs["give"]
+        return tuple(
+            Yield(measure.task, give[measure.rows].copy(), measure.unit)
+            for measure in self.tick.gives
+        )

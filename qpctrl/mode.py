@@ -1,0 +1,29 @@
+"""A mode: the constraints and weighted tasks that are active together."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from qpctrl.constraint import Constraint
+from qpctrl.errors import InputError
+from qpctrl.objective import Weighted
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mode:
+    """A set of active constraints and weighted tasks; names are unique within it."""
+
+    name: str
+    tasks: tuple[Weighted, ...]
+    constraints: tuple[Constraint, ...] = ()
+
+    def __post_init__(self) -> None:
+        names = [weighted.task.name for weighted in self.tasks]
+        names += [constraint.name for constraint in self.constraints]
+        if len(set(names)) < len(names):
+            raise InputError(f"mode {self.name!r}: names must differ, got {', '.join(names)}")
+        if not self.tasks:
+            raise InputError(f"mode {self.name!r}: need at least one task")
+        for task, weight in self.tasks:
+            if not (np.isfinite(weight) and weight > 0):
+                raise InputError(f"weight of task {task.name!r}: got {weight}, need a number > 0")

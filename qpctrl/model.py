@@ -1,0 +1,166 @@
+"""The shared expressions of one mode: dynamics, spaces, constraint splits, objectives."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TypeVar
+
+import casadi as ca
+import numpy as np
+
+from qpctrl import limit
+from qpctrl.arrays import Array
+from qpctrl.constraint import PfaffianRows
+from qpctrl.dynamics import Dynamics
+from qpctrl.errors import InputError
+from qpctrl.factor import Factor
+from qpctrl.law import Split
+from qpctrl.layout import Layout
+from qpctrl.mode import Mode
+from qpctrl.objective import ForceObjective, Scene, Task, TaskExpressions
+from qpctrl.robot import Robot
+from qpctrl.space import SpaceTerms, TaskSpace
+from qpctrl.spatial import SX
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, kw_only=True)
+class WrittenTask:
+    """A task with its weight and its expressions."""
+
+    task: Task
+    weight: SX
+    written: TaskExpressions
+
+
+class ModeModel:
+    """Everything that the QP and the closed forms of one mode are made from.
+
+    Attributes:
+        inputs, memory: layouts of the packed arguments ``u`` and ``x``.
+        u_vector, x_vector: those arguments; ``u`` holds the named inputs.
+        dynamics, M_factor: dynamics at (q, v).
+        spaces, splits: terms and constraint split of each task space.
+        tasks: the tasks, written out.
+        h: bias with known external wrenches (nv) [Nm].
+        M_N: M − JᵀΛJ = NᵀM = NᵀMN (nv×nv), the inertia left when all task spaces are taken.
+    """
+
+    def __init__(self, robot: Robot, mode: Mode) -> None:
+        self.robot, self.mode = robot, mode
+        self.inputs = Layout(_input_defaults(robot, mode))
+        self.memory = Layout(_memory_defaults(mode))
+        self.u_vector, self.u = self.inputs.symbols("u")
+        self.x_vector, self._x = self.memory.symbols("x")
+        self.dynamics = Dynamics(robot)
+        self.M_factor = Factor(self.dynamics.M)
+        self.spaces = {
+            space: SpaceTerms(space, self.dynamics, self.M_factor, self.u["mu"])
+            for space in _spaces(mode)
+        }
+        self.splits = {space: self._split(space) for space in self.spaces}
+        self.tasks = [
+            WrittenTask(task=task, weight=self.u[f"{task.name}.weight"], written=self._write(task))
+            for task, _ in mode.tasks
+        ]
+        self._check_forces()
+        self.h = self.dynamics.h
+        for force, space in self.of(ForceObjective):
+            if space is None:
+                raise InputError(f"mode {mode.name!r}: a force task needs a task space")
+            self.h = self.h + self.spaces[space].J.T @ force.F_ext
+        self.M_N = self._null_space_inertia()
+
+    def of(self, kind: type[T]) -> list[tuple[T, TaskSpace | None]]:
+        """Return the objectives of one kind, each with its task space."""
+        return [
+            (item.written.objective, item.task.space)
+            for item in self.tasks
+            if isinstance(item.written.objective, kind)
+        ]
+
+    def memory_after(self) -> SX:
+        """Return the packed memory after this tick."""
+        return self.memory.pack(
+            {
+                f"{item.task.name}.{key}": value
+                for item in self.tasks
+                for key, value in item.written.memory.items()
+            }
+        )
+
+    def _split(self, space: TaskSpace) -> Split:
+        terms = self.spaces[space]
+        rows = [
+            constraint.rows(terms, _named(self.u, constraint.name))
+            for constraint in self.mode.constraints
+            if constraint.space == space
+        ]
+        empty = PfaffianRows(ca.SX(0, space.n), ca.SX(0, 1), ca.SX(0, 1))
+        stacked = (ca.vertcat(*parts) for parts in zip(empty, *rows, strict=True))
+        return Split(PfaffianRows(*stacked), terms.Lambda_inv)
+
+    def _write(self, task: Task) -> TaskExpressions:
+        split = self.splits[task.space] if task.space else None
+        scene = Scene(
+            q=self.dynamics.q,
+            v=self.dynamics.v,
+            dt=self.u["dt"],
+            freeze=self.u["freeze"],
+            terms=self.spaces[task.space] if task.space else None,
+            A=split.A if split else ca.SX(0, 0),
+            S=split.S if split else ca.SX(0, 0),
+        )
+        return task.objective(scene, _named(self.u, task.name), _named(self._x, task.name))
+
+    def _check_forces(self) -> None:
+        forced = [space for _, space in self.of(ForceObjective)]
+        if len(set(forced)) < len(forced):
+            raise InputError(f"mode {self.mode.name!r}: two force tasks on one task space")
+        for constraint in self.mode.constraints:
+            if constraint.space not in forced:
+                raise InputError(
+                    f"constraint {constraint.name!r} has no force task on its task space; "
+                    "add one (a zero reference keeps the contact light)"
+                )
+
+    def _null_space_inertia(self) -> SX:
+        nv = self.robot.nv
+        spaces = list(self.spaces.values())
+        if sum(terms.space.n for terms in spaces) >= nv:
+            return ca.SX.zeros(nv, nv)
+        if len(spaces) == 1:
+            return self.dynamics.M - spaces[0].J.T @ spaces[0].Lambda @ spaces[0].J
+        J = ca.vertcat(ca.SX(0, nv), *(terms.J for terms in spaces))
+        mobility = J @ self.M_factor.solve(J.T) + self.u["mu"] * ca.SX.eye(J.shape[0])
+        return self.dynamics.M - J.T @ Factor(mobility).solve(J)
+
+
+def _spaces(mode: Mode) -> tuple[TaskSpace, ...]:
+    spaces = [task.space for task, _ in mode.tasks if task.space is not None]
+    spaces += [constraint.space for constraint in mode.constraints]
+    return tuple(dict.fromkeys(spaces))
+
+
+def _input_defaults(robot: Robot, mode: Mode) -> dict[str, Array]:
+    defaults = {"dt": np.array(1e-3), "freeze": np.array(0.0), "mu": np.array(0.0)}
+    defaults |= {f"limits.{key}": value for key, value in limit.inputs(robot).items()}
+    for task, weight in mode.tasks:
+        defaults[f"{task.name}.weight"] = np.array(weight)
+        defaults |= {f"{task.name}.{key}": value for key, value in task.inputs().items()}
+    for constraint in mode.constraints:
+        defaults |= {f"{constraint.name}.{key}": v for key, v in constraint.inputs().items()}
+    return defaults
+
+
+def _memory_defaults(mode: Mode) -> dict[str, Array]:
+    return {
+        f"{task.name}.{key}": value
+        for task, _ in mode.tasks
+        for key, value in task.memory().items()
+    }
+
+
+def _named(arrays: Mapping[str, SX], name: str) -> dict[str, SX]:
+    prefix = f"{name}."
+    return {key[len(prefix) :]: value for key, value in arrays.items() if key.startswith(prefix)}

@@ -1,0 +1,101 @@
+"""What a task asks of the QP: desired accelerations, wrenches, postures – all expressions."""
+
+from collections.abc import Mapping
+from typing import NamedTuple, Protocol, TypeAlias
+
+from qpctrl.arrays import Array
+from qpctrl.space import SpaceTerms, TaskSpace
+from qpctrl.spatial import SX
+
+
+class MotionObjective(NamedTuple):
+    """Ask for ``V̇ = a_cmd`` along the axes of the space: cost ½‖J a + J̇v − a_cmd‖²_Λ."""
+
+    a_cmd: SX
+    """Commanded acceleration (n) [m/s², rad/s²]."""
+
+
+class ForceObjective(NamedTuple):
+    """Ask for ``Aᵀ λ = F_cmd``: cost ½‖Aᵀ λ − F_cmd‖²_{Λ⁻¹}."""
+
+    F_cmd: SX
+    """Commanded wrench on the environment (n) [N, Nm]."""
+    F_ext: SX
+    """Known wrench on the environment outside A's rows (n) [N, Nm], friction for instance."""
+
+
+class PostureObjective(NamedTuple):
+    """Ask for ``a = a_post`` in the null space: cost ½‖a − a_post‖²_{M_N}."""
+
+    a_post: SX
+    """Commanded joint acceleration (nv) [rad/s² or m/s²]."""
+
+
+Objective: TypeAlias = MotionObjective | ForceObjective | PostureObjective
+
+
+class Scene(NamedTuple):
+    """What a task may refer to when it writes its objective."""
+
+    q: SX
+    """Configuration (nq) [rad or m]."""
+    v: SX
+    """Velocity (nv) [rad/s or m/s]."""
+    dt: SX
+    """Time since the last tick [s]."""
+    freeze: SX
+    """1 while integrators hold (a limit was active or contact lost), else 0."""
+    terms: SpaceTerms | None
+    """The task's space; none for a posture."""
+    A: SX
+    """Constraint rows (k×n) acting on that space; k = 0 in free space."""
+    S: SX
+    """A Λ⁻¹ Aᵀ (k×k), the mobility of the constrained directions."""
+
+
+class TaskExpressions(NamedTuple):
+    """One task, written out."""
+
+    objective: Objective
+    memory: Mapping[str, SX]
+    """The task's memory after this tick."""
+    signals: Mapping[str, SX]
+    """Quantities worth recording."""
+
+
+class Reference(Protocol):
+    """What a task shall follow at one tick."""
+
+    def arrays(self) -> Mapping[str, Array]:
+        """Return the task inputs that this reference sets."""
+
+
+class Task(Protocol):
+    """Frozen parameters and a pure method from (scene, inputs, memory) to an objective."""
+
+    @property
+    def name(self) -> str:
+        """Name under which references and reports refer to the task."""
+
+    @property
+    def space(self) -> TaskSpace | None:
+        """Task space of the objective; none for a posture."""
+
+    def inputs(self) -> dict[str, Array]:
+        """Return references, measurements and gains with their defaults."""
+
+    def memory(self) -> dict[str, Array]:
+        """Return the initial memory: integrators, filters, ramps."""
+
+    def objective(
+        self, scene: Scene, u: Mapping[str, SX], memory: Mapping[str, SX]
+    ) -> TaskExpressions:
+        """Return the objective at the inputs ``u``."""
+
+
+class Weighted(NamedTuple):
+    """A task in a composition."""
+
+    task: Task
+    weight: float = 1.0
+    """Who gives way when a limit binds; without an active limit it changes nothing."""

@@ -1,0 +1,153 @@
+"""The QP in both forms, from the same terms.
+
+    min  Σ w/2 ‖J a + J̇v − a_cmd‖²_Λ + Σ w/2 ‖Aᵀλ − F_cmd‖²_{Λ⁻¹} + Σ w/2 ‖a − a_post‖²_{M_N}
+    s.t. M a + h + Jᵀ Aᵀ λ = B τ,   A (J a + J̇v) + Ȧ V = v̇_c,   bounds on τ, a and λ
+
+`full` has x = (a, τ, λ). `reduced` has x = (a, λ): the driven part of the dynamics turns the
+torque bounds into rows, and what B leaves undriven stays as an equality.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from qpctrl.arrays import Matrix
+from qpctrl.limit import UNBOUNDED, Bounds
+from qpctrl.spatial import SX
+
+
+class QpExpressions(NamedTuple):
+    """``min ½ xᵀHx + gᵀx  s.t.  A x = b,  lb ≤ C x ≤ ub``, and how x gives the torque."""
+
+    H: SX
+    g: SX
+    A: SX
+    b: SX
+    C: SX
+    lb: SX
+    ub: SX
+    T: SX
+    """Torque map: τ = T x + t."""
+    t: SX
+
+
+class RowNames(NamedTuple):
+    """What each row of the QP is."""
+
+    equality: tuple[str, ...]
+    inequality: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class QpTerms:
+    """Costs and physics of one tick, before they are arranged into a form."""
+
+    H_a: SX
+    """Hessian of the motion and posture costs in a (nv×nv)."""
+    g_a: SX
+    H_lam: SX
+    """Hessian of the force costs in λ (k×k)."""
+    g_lam: SX
+    M: SX
+    h: SX
+    """Bias with known external wrenches (nv) [Nm]."""
+    AJ: SX
+    """Constraint rows on joint acceleration (k×nv), all constraints stacked."""
+    drift: SX
+    """v̇_c − Ȧ V − A J̇v (k)."""
+    B: Matrix
+    torque: Bounds
+    acceleration: Bounds
+    unilateral: tuple[bool, ...]
+    joint_names: tuple[str, ...]
+    actuator_names: tuple[str, ...]
+    constraint_rows: tuple[str, ...]
+
+    @property
+    def nv(self) -> int:
+        """Number of accelerations."""
+        return len(self.joint_names)
+
+    @property
+    def k(self) -> int:
+        """Number of constraint rows."""
+        return len(self.constraint_rows)
+
+    @property
+    def nu(self) -> int:
+        """Number of torques."""
+        return len(self.actuator_names)
+
+
+def reduced_qp(terms: QpTerms) -> tuple[QpExpressions, RowNames]:
+    """Return the QP in (a, λ)."""
+    driven = np.linalg.pinv(terms.B)
+    undriven = _complement(terms.B)
+    dynamics = ca.horzcat(terms.M, terms.AJ.T)
+    T, t = ca.SX(driven) @ dynamics, ca.SX(driven) @ terms.h
+    A = ca.vertcat(ca.horzcat(terms.AJ, ca.SX.zeros(terms.k, terms.k)), ca.SX(undriven) @ dynamics)
+    b = ca.vertcat(terms.drift, -(ca.SX(undriven) @ terms.h))
+    torque = Bounds(terms.torque.lb - t, terms.torque.ub - t)
+    qp = _arrange(terms, ca.SX(0, 0), A, b, T, torque)
+    names = RowNames(
+        terms.constraint_rows + tuple(f"undriven {i}" for i in range(len(undriven))),
+        _inequality_names(terms),
+    )
+    return qp._replace(T=T, t=t), names
+
+
+def full_qp(terms: QpTerms) -> tuple[QpExpressions, RowNames]:
+    """Return the QP in (a, τ, λ), dynamics and all."""
+    nu, k = terms.nu, terms.k
+    select = ca.horzcat(ca.SX.zeros(nu, terms.nv), ca.SX.eye(nu), ca.SX.zeros(nu, k))
+    A = ca.vertcat(
+        ca.horzcat(terms.AJ, ca.SX.zeros(k, nu + k)),
+        ca.horzcat(terms.M, -ca.SX(terms.B), terms.AJ.T),
+    )
+    b = ca.vertcat(terms.drift, -terms.h)
+    qp = _arrange(terms, ca.SX.zeros(nu, nu), A, b, select, terms.torque)
+    dynamics = tuple(f"dynamics {name}" for name in terms.joint_names)
+    return qp._replace(T=select, t=ca.SX.zeros(nu)), RowNames(
+        terms.constraint_rows + dynamics, _inequality_names(terms)
+    )
+
+
+FORMS = {"reduced": reduced_qp, "full": full_qp}
+"""The forms of the QP, by name."""
+
+
+def _arrange(
+    terms: QpTerms, H_tau: SX, A: SX, b: SX, torque_rows: SX, torque: Bounds
+) -> QpExpressions:
+    size = terms.nv + H_tau.shape[0] + terms.k
+    pushes = [i for i, one_sided in enumerate(terms.unilateral) if one_sided]
+    identity = ca.SX.eye(size)
+    lam_rows = identity[[size - terms.k + i for i in pushes], :]
+    return QpExpressions(
+        H=ca.diagcat(terms.H_a, H_tau, terms.H_lam),
+        g=ca.vertcat(terms.g_a, ca.SX.zeros(H_tau.shape[0]), terms.g_lam),
+        A=A,
+        b=b,
+        C=ca.vertcat(torque_rows, identity[: terms.nv, :], lam_rows),
+        lb=ca.vertcat(torque.lb, terms.acceleration.lb, ca.SX.zeros(len(pushes))),
+        ub=ca.vertcat(torque.ub, terms.acceleration.ub, UNBOUNDED * ca.SX.ones(len(pushes))),
+        T=ca.SX(0, 0),
+        t=ca.SX(0, 0),
+    )
+
+
+def _inequality_names(terms: QpTerms) -> tuple[str, ...]:
+    pushes = zip(terms.constraint_rows, terms.unilateral, strict=True)
+    return (
+        *(f"torque {name}" for name in terms.actuator_names),
+        *(f"acceleration {name}" for name in terms.joint_names),
+        *(f"unilateral {row}" for row, one_sided in pushes if one_sided),
+    )
+
+
+def _complement(B: Matrix) -> Matrix:
+    """Return rows (nv−nu × nv) that span what B does not drive."""
+    left, _, _ = np.linalg.svd(B)
+    return np.ascontiguousarray(left[:, B.shape[1] :].T)

@@ -1,0 +1,109 @@
+"""What a tick says about itself: how its torque relates to the closed forms, and why."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from qpctrl.arrays import Array, Vector
+from qpctrl.status import Status
+
+
+@dataclass(frozen=True, slots=True)
+class ActiveLimit:
+    """A row of the QP that binds."""
+
+    name: str
+    """``torque JOINT``, ``torque rate JOINT``, ``position JOINT``, ``velocity JOINT`` or
+    ``unilateral ROW``."""
+    dual: float
+    """Its multiplier; positive on an upper bound, negative on a lower one. The unit is that of
+    the cost [N²/kg] over that of the row."""
+
+
+@dataclass(frozen=True, slots=True)
+class Yield:
+    """How far one task gave way, against what the closed form would have given it."""
+
+    task: str
+    amount: Vector
+    """Difference for each axis of the task."""
+    unit: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Command:
+    """What to send to the joints."""
+
+    tau: Vector
+    """Torque (nu) [Nm]."""
+    fallback: bool
+    """Whether this is the fallback torque."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TickReport:
+    """One tick, explained. Gaps are relative: max |Δτ| / max |τ|."""
+
+    time: float
+    """Time of the measurement [s]."""
+    mode: str
+    status: Status
+    tau_qp: Vector
+    """Torque of the QP (nu) [Nm]; NaN when there is none."""
+    tau_hybrid: Vector
+    """Torque of the hybrid law (nu) [Nm], or of the equality-constrained QP without one."""
+    tau_textbook: Vector
+    """Torque of the law as printed (nu) [Nm]."""
+    lam: Vector
+    """Contact multipliers (k) [N, Nm], robot on environment."""
+    kkt: Vector
+    """Residuals (4): stationarity, equality, inequality, complementarity."""
+    law_gap: float
+    """QP against the hybrid law."""
+    textbook_gap: float
+    """QP against the law as printed."""
+    unexplained_gap: float
+    """QP against the law as printed, less the curvature term."""
+    curvature: float
+    """The curvature term Jᵀ Aᵀ S⁻¹ (Ȧ V − v̇_c), relative like the gaps."""
+    active: tuple[ActiveLimit, ...]
+    yields: tuple[Yield, ...]
+    """What each task lost; empty while no limit is active."""
+    damping: float
+    """Damping μ of Λ⁻¹ near a singularity [1/kg]; equality is not claimed where it is not 0."""
+    dependent_rows: tuple[str, ...]
+    signals: Array
+    """Recorded quantities, packed in the order of ``Tick.signals``."""
+
+    @property
+    def kkt_residual(self) -> float:
+        """Largest of the four residuals."""
+        return float(self.kkt.max())
+
+    @property
+    def saturated(self) -> bool:
+        """Whether a limit binds."""
+        return bool(self.active)
+
+    def explain(self) -> str:
+        """Return in words why the torque is what it is."""
+        if self.status is not Status.OK:
+            rows = f": {', '.join(self.dependent_rows)}" if self.dependent_rows else ""
+            return f"fallback torque: {self.status.value}{rows}"
+        said = [f"QP = hybrid law to {self.law_gap:.1e}"] if not self.active else []
+        for limit in self.active:
+            side = "upper" if limit.dual > 0 else "lower"
+            said.append(f"{limit.name} at its {side} limit (dual {abs(limit.dual):.3g})")
+        for lost in self.yields:
+            largest = int(np.abs(lost.amount).argmax())
+            if (amount := lost.amount[largest]) != 0:
+                said.append(f"task {lost.task} gave way by {amount:+.3g} {lost.unit}")
+        if self.curvature > 1e-12:
+            said.append(
+                f"textbook law differs by its curvature term, {self.curvature:.1e} of max |τ|"
+            )
+        if self.damping:
+            said.append(
+                f"near a singularity: Λ damped by μ = {self.damping:.2g}, no equality claimed"
+            )
+        return "; ".join(said)

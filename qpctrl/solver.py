@@ -1,0 +1,158 @@
+"""QP solvers behind one interface; the only module that knows proxsuite and qpsolvers.
+
+``min ½ xᵀHx + gᵀx  s.t.  A x = b,  lb ≤ C x ≤ ub``, with Lagrangian
+``… + yᵀ(A x − b) + zᵀ(C x)``: z > 0 presses on an upper bound, z < 0 on a lower one.
+"""
+
+import functools
+from collections.abc import Callable
+from typing import NamedTuple, Protocol
+
+import numpy as np
+import proxsuite
+import qpsolvers
+from scipy.sparse import csc_matrix
+
+from qpctrl.arrays import Matrix, Vector
+from qpctrl.errors import unknown_name
+from qpctrl.limit import UNBOUNDED
+
+EPS = 1e-11
+"""Absolute accuracy asked of proxsuite; its default (1e-5) is wrong by up to 1e-3 in torque."""
+
+
+class QpData(NamedTuple):
+    """One QP as arrays; rows bounded by ±1e20 are unbounded."""
+
+    H: Matrix
+    g: Vector
+    A: Matrix
+    b: Vector
+    C: Matrix
+    lb: Vector
+    ub: Vector
+
+
+class Solution(NamedTuple):
+    """Primal and dual point; ``feasible`` is false where the solver proved there is none."""
+
+    x: Vector
+    y: Vector
+    z: Vector
+    feasible: bool = True
+
+
+class Solver(Protocol):
+    """A solver for QPs of one size, called once a tick."""
+
+    def solve(self, qp: QpData) -> Solution:
+        """Return the solver's answer; accuracy is judged by the caller."""
+
+
+class ProxSuite:
+    """ProxQP on one object: initialised once, then updated and warm-started.
+
+    Source: Bambade2022.
+    """
+
+    def __init__(self) -> None:
+        self._qp: proxsuite.proxqp.dense.QP | None = None
+
+    def solve(self, qp: QpData) -> Solution:
+        """Return the solution from the last one; a failed start is repeated from cold."""
+        if self._qp is None:
+            self._qp = _proxqp(qp)
+        else:
+            self._qp.update(qp.H, qp.g, qp.A, qp.b, qp.C, qp.lb, qp.ub)
+        self._qp.solve()
+        if self._qp.results.info.status != proxsuite.proxqp.PROXQP_SOLVED:
+            self._qp = _proxqp(qp)
+            self._qp.solve()
+        results = self._qp.results
+        infeasible = proxsuite.proxqp.PROXQP_PRIMAL_INFEASIBLE
+        feasible = results.info.status != infeasible
+        solution = Solution(results.x.copy(), results.y.copy(), results.z.copy(), feasible)
+        if results.info.status != proxsuite.proxqp.PROXQP_SOLVED:
+            self._qp = None
+        return solution
+
+
+def _proxqp(qp: QpData) -> proxsuite.proxqp.dense.QP:
+    solver = proxsuite.proxqp.dense.QP(len(qp.g), len(qp.b), len(qp.lb))
+    solver.settings.eps_abs = EPS
+    solver.settings.eps_rel = 0.0
+    solver.settings.initial_guess = proxsuite.proxqp.WARM_START_WITH_PREVIOUS_RESULT
+    solver.settings.compute_timings = False
+    solver.init(qp.H, qp.g, qp.A, qp.b, qp.C, qp.lb, qp.ub)
+    return solver
+
+
+class QpSolvers:
+    """Any installed back-end of qpsolvers, by its name there."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+        self._sparse = name not in qpsolvers.dense_solvers
+
+    def solve(self, qp: QpData) -> Solution:
+        """Return the back-end's solution."""
+        upper, lower = qp.ub < UNBOUNDED, qp.lb > -UNBOUNDED
+        G = np.vstack([qp.C[upper], -qp.C[lower]])
+        h = np.concatenate([qp.ub[upper], -qp.lb[lower]])
+        H, G, A = (csc_matrix(m) if self._sparse else m for m in (qp.H, G, qp.A))
+        rows = (A, qp.b) if len(qp.b) else (None, None)
+        try:
+            found = qpsolvers.solve_problem(qpsolvers.Problem(H, qp.g, G, h, *rows), self._name)
+        except (qpsolvers.SolverError, ValueError):
+            return _nothing(qp)
+        if found.x is None or not found.found:
+            return _nothing(qp)
+        z = np.zeros(len(qp.lb))
+        dual = np.zeros(len(h)) if found.z is None else np.asarray(found.z)
+        z[upper] += dual[: upper.sum()]
+        z[lower] -= dual[upper.sum() :]
+        y = np.zeros(len(qp.b)) if found.y is None else np.asarray(found.y)
+        return Solution(np.asarray(found.x), y, z)
+
+
+def polish(qp: QpData, rough: Solution) -> Solution:
+    """Return the exact solution on the active set that ``rough`` points to.
+
+    A bound counts as active where its dual is larger than its slack. One linear solve of the
+    equality-constrained KKT system; whether the guess was right is judged by the residuals.
+    """
+    Cx = qp.C @ rough.x
+    upper, lower = rough.z > qp.ub - Cx, -rough.z > Cx - qp.lb
+    active = upper | lower
+    rows = np.vstack([qp.A, qp.C[active]])
+    n, m = len(qp.g), len(rows)
+    kkt = np.block([[qp.H, rows.T], [rows, np.zeros((m, m))]])
+    rhs = np.concatenate([-qp.g, qp.b, np.where(upper, qp.ub, qp.lb)[active]])
+    point = np.linalg.lstsq(kkt, rhs, rcond=None)[0]
+    point += np.linalg.lstsq(kkt, rhs - kkt @ point, rcond=None)[0]
+    z = np.zeros(len(qp.lb))
+    z[active] = point[n + len(qp.b) :]
+    return Solution(point[:n], point[n : n + len(qp.b)], z)
+
+
+def _nothing(qp: QpData) -> Solution:
+    nan = np.full(len(qp.g), np.nan)
+    return Solution(nan, np.full(len(qp.b), np.nan), np.full(len(qp.lb), np.nan), feasible=False)
+
+
+@functools.cache
+def solver_names() -> tuple[str, ...]:
+    """Return the names that `make_solver` accepts on this machine."""
+    return ("proxsuite", *(name for name in qpsolvers.available_solvers if name != "proxqp"))
+
+
+def make_solver(name: str) -> Solver:
+    """Return a solver by name: ``proxsuite``, or any installed back-end of qpsolvers.
+
+    Raises:
+        InputError: no such solver here.
+    """
+    if name not in solver_names():
+        raise unknown_name("solver", name, solver_names())
+    backends: dict[str, Callable[[], Solver]] = {"proxsuite": ProxSuite}
+    return backends.get(name, functools.partial(QpSolvers, name))()

@@ -1,0 +1,85 @@
+"""Task spaces: named axes of one frame, with their kinematics and inertia.
+
+Λ⁻¹ = J M⁻¹ Jᵀ,  J̄ = M⁻¹ Jᵀ Λ,  η = J̄ᵀ h − Λ J̇v.
+Source: Khatib1987; LynchPark2017 §8.6.
+"""
+
+from dataclasses import dataclass
+
+import casadi as ca
+
+from qpctrl.dynamics import Dynamics
+from qpctrl.errors import InputError, unknown_name
+from qpctrl.factor import Factor
+from qpctrl.spatial import AXES, SX, SymbolicPose
+
+
+@dataclass(frozen=True)
+class TaskSpace:
+    """Axes of the body twist of a frame, expressed in that frame.
+
+    A planar arm uses ``("vx", "vy")``; everything holds for that n.
+    """
+
+    frame: str
+    axes: tuple[str, ...] = AXES
+
+    def __post_init__(self) -> None:
+        for axis in self.axes:
+            if axis not in AXES:
+                raise unknown_name("axis", axis, AXES)
+        if not self.axes or len(set(self.axes)) < len(self.axes):
+            raise InputError(f"axes: got {self.axes}, need one or more different ones of {AXES}")
+
+    @property
+    def n(self) -> int:
+        """Number of axes."""
+        return len(self.axes)
+
+    @property
+    def index(self) -> list[int]:
+        """Position of each axis among the six of a twist."""
+        return [AXES.index(axis) for axis in self.axes]
+
+    @property
+    def turns(self) -> bool:
+        """Whether an angular axis is among them."""
+        return any(axis.startswith("w") for axis in self.axes)
+
+
+class SpaceTerms:
+    """Expressions of one task space at (q, v).
+
+    Attributes:
+        X_WF: pose of the frame in the world.
+        V_full: its body twist (6) [m/s, rad/s].
+        J: Jacobian of the space's axes (n×nv).
+        J_dot_v: drift (n) [m/s², rad/s²].
+        V: twist along the axes (n).
+        Lambda_inv, Lambda: task-space inertia and its inverse (n×n), damped by ``mu``.
+        pivot_ratios: of the undamped Λ⁻¹ (n); near 0 at a singularity.
+    """
+
+    def __init__(self, space: TaskSpace, dynamics: Dynamics, M_factor: Factor, mu: SX) -> None:
+        frame = dynamics.frame(space.frame)
+        index = space.index
+        self.space = space
+        self.X_WF: SymbolicPose = frame.X_WF
+        self.V_full = ca.densify(frame.J @ dynamics.v)
+        self.J = ca.densify(frame.J[index, :])
+        self.J_dot_v = ca.densify(frame.J_dot_v[index])
+        self.V = self.V_full[index]
+        self._M_inv_JT = M_factor.solve(self.J.T)
+        mobility = self.J @ self._M_inv_JT
+        self.pivot_ratios = Factor(mobility).pivot_ratios
+        self.Lambda_inv = mobility + mu * ca.SX.eye(space.n)
+        self.Lambda = Factor(self.Lambda_inv).solve(ca.SX.eye(space.n))
+
+    def eta(self, h: SX) -> SX:
+        """Return η (n) [N, Nm] of the bias ``h`` (nv)."""
+        return self.J_bar.T @ h - self.Lambda @ self.J_dot_v
+
+    @property
+    def J_bar(self) -> SX:
+        """Dynamically consistent inverse J̄ (nv×n)."""
+        return self._M_inv_JT @ self.Lambda

@@ -1,0 +1,229 @@
+"""The smooth part of a control tick, as one CasADi function per mode.
+
+(q, v, u, x) → QP data, both laws, next memory, and what a report wants to know. Built once,
+before the loop starts.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from qpctrl import limit
+from qpctrl.errors import InputError
+from qpctrl.law import LawTerms, LawTorque, closed_forms
+from qpctrl.layout import Layout
+from qpctrl.mode import Mode
+from qpctrl.model import ModeModel
+from qpctrl.objective import ForceObjective, MotionObjective, PostureObjective
+from qpctrl.qp import FORMS, QpTerms, RowNames
+from qpctrl.robot import Robot
+from qpctrl.space import TaskSpace
+from qpctrl.spatial import SX
+
+
+class Give(NamedTuple):
+    """Which rows of ``G x`` measure how far one task can give way."""
+
+    task: str
+    unit: str
+    rows: slice
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Tick:
+    """The function of one mode, and the names of what goes in and comes out."""
+
+    mode: Mode
+    function: ca.Function
+    inputs: Layout
+    memory: Layout
+    rows: RowNames
+    signals: dict[str, int]
+    """Recorded quantities ``task.signal`` and their sizes, in the order of output ``signals``."""
+    gives: tuple[Give, ...]
+    spaces: tuple[TaskSpace, ...]
+    mode_rows: int
+    """Number of constraint rows k, all constraints together."""
+    has_law: bool
+    """Whether closed forms exist: one task space, one motion task, B = I."""
+
+
+def build_tick(robot: Robot, mode: Mode, form: str = "reduced") -> Tick:
+    """Return the tick of ``mode``.
+
+    Args:
+        robot: the robot as the controller believes it to be.
+        mode: active constraints and tasks.
+        form: ``reduced`` (a, λ) or ``full`` (a, τ, λ).
+
+    Raises:
+        InputError: the tasks leave motion undetermined, or a constraint has no force task.
+    """
+    model = ModeModel(robot, mode)
+    _check_determined(model)
+    qp, rows = FORMS[form](_qp_terms(model))
+    law = _law(model)
+    gives, G = _gives(model, form)
+    signals = {
+        f"{item.task.name}.{key}": value
+        for item in model.tasks
+        for key, value in item.written.signals.items()
+    }
+    splits = [split for split in model.splits.values() if split.k]
+    outputs = {
+        **qp._asdict(),
+        **_law_outputs(law, form, qp.H.shape[0], robot.nv),
+        "G": G,
+        "memory": model.memory_after(),
+        "space_pivots": _stack(terms.pivot_ratios for terms in model.spaces.values()),
+        "row_pivots": _stack(split.pivot_ratios for split in splits),
+        "signals": _stack(ca.vec(ca.densify(value)) for value in signals.values()),
+    }
+    for i, (terms, split) in enumerate(
+        zip(model.spaces.values(), model.splits.values(), strict=True)
+    ):
+        outputs |= {f"Lambda{i}": terms.Lambda, f"P{i}": split.P, f"A{i}": split.A}
+    function = ca.Function(
+        f"tick_{mode.name}",
+        [model.dynamics.q, model.dynamics.v, model.u_vector, model.x_vector],
+        [ca.densify(expression) for expression in outputs.values()],
+        ["q", "v", "u", "x"],
+        list(outputs),
+        {"cse": True},
+    )
+    return Tick(
+        mode=mode,
+        function=function,
+        inputs=model.inputs,
+        memory=model.memory,
+        rows=rows,
+        signals={key: int(value.numel()) for key, value in signals.items()},
+        gives=gives,
+        spaces=tuple(model.spaces),
+        mode_rows=sum(split.k for split in splits),
+        has_law=law is not None,
+    )
+
+
+def _qp_terms(model: ModeModel) -> QpTerms:
+    nv, u = model.robot.nv, model.u
+    H_a, g_a = ca.SX(nv, nv), ca.SX(nv, 1)
+    force_cost = {space: (ca.SX(0), ca.SX.zeros(space.n)) for space in model.spaces}
+    for item in model.tasks:
+        objective, weight = item.written.objective, item.weight
+        if isinstance(objective, PostureObjective):
+            H_a += weight * model.M_N
+            g_a -= weight * (model.M_N @ objective.a_post)
+        elif isinstance(objective, MotionObjective) and item.task.space:
+            terms = model.spaces[item.task.space]
+            JT_Lambda = terms.J.T @ terms.Lambda
+            H_a += weight * (JT_Lambda @ terms.J)
+            g_a += weight * (JT_Lambda @ (terms.J_dot_v - objective.a_cmd))
+        elif isinstance(objective, ForceObjective) and item.task.space:
+            force_cost[item.task.space] = (weight, objective.F_cmd)
+    H_lam, g_lam, AJ, drift = [], [ca.SX(0, 1)], [ca.SX(0, nv)], [ca.SX(0, 1)]
+    for space, split in model.splits.items():
+        weight, F_cmd = force_cost[space]
+        terms = model.spaces[space]
+        H_lam.append(weight * split.S)
+        g_lam.append(-weight * (split.A @ terms.Lambda_inv @ F_cmd))
+        AJ.append(split.A @ terms.J)
+        drift.append(split.v_c_dot - split.A_dot_V - split.A @ terms.J_dot_v)
+    constraints = [
+        constraint
+        for space in model.spaces
+        for constraint in model.mode.constraints
+        if constraint.space == space
+    ]
+    limits = {key[7:]: value for key, value in u.items() if key.startswith("limits.")}
+    return QpTerms(
+        H_a=H_a,
+        g_a=g_a,
+        H_lam=ca.diagcat(*H_lam),
+        g_lam=ca.vertcat(*g_lam),
+        M=model.dynamics.M,
+        h=model.h,
+        AJ=ca.vertcat(*AJ),
+        drift=ca.vertcat(*drift),
+        B=model.robot.B,
+        torque=limit.torque_bounds(limits, u["dt"]),
+        acceleration=limit.acceleration_bounds(limits, model.dynamics.q, model.dynamics.v),
+        unilateral=tuple(side for constraint in constraints for side in constraint.unilateral),
+        joint_names=model.robot.joint_names,
+        actuator_names=model.robot.actuator_names,
+        constraint_rows=tuple(f"{c.name}.{row}" for c in constraints for row in c.row_names),
+    )
+
+
+def _law(model: ModeModel) -> LawTorque | None:
+    motions, forces = model.of(MotionObjective), model.of(ForceObjective)
+    postures = model.of(PostureObjective)
+    square = np.array_equal(model.robot.B, np.eye(model.robot.nv))
+    if not square or len(model.spaces) != 1 or len(motions) != 1 or len(postures) > 1:
+        return None
+    space, terms = next(iter(model.spaces.items()))
+    return closed_forms(
+        LawTerms(
+            terms=terms,
+            split=model.splits[space],
+            M_factor=model.M_factor,
+            h=model.h,
+            M_N=model.M_N,
+            a_cmd=motions[0][0].a_cmd,
+            F_cmd=forces[0][0].F_cmd if forces else ca.SX.zeros(space.n),
+            a_post=postures[0][0].a_post if postures else ca.SX.zeros(model.robot.nv),
+        )
+    )
+
+
+def _law_outputs(law: LawTorque | None, form: str, size: int, nv: int) -> dict[str, SX]:
+    if law is None:
+        none = {"tau_textbook": nv, "tau_hybrid": nv, "curvature": nv, "x_law": size}
+        return {name: ca.SX.zeros(length) for name, length in none.items()}
+    middle = law.hybrid if form == "full" else ca.SX(0, 1)
+    return {
+        "tau_textbook": law.textbook,
+        "tau_hybrid": law.hybrid,
+        "curvature": law.curvature,
+        "x_law": ca.vertcat(law.a, middle, law.lam),
+    }
+
+
+def _gives(model: ModeModel, form: str) -> tuple[tuple[Give, ...], SX]:
+    """Return rows G with ``G x`` = what each task gets: J a, Aᵀ λ, or M_N a."""
+    nv = model.robot.nv
+    nu = model.robot.nu if form == "full" else 0
+    k_all = sum(split.k for split in model.splits.values())
+    offset, column = {}, nv + nu
+    for space, split in model.splits.items():
+        offset[space], column = column, column + split.k
+    gives, blocks, start = [], [ca.SX(0, nv + nu + k_all)], 0
+    for item in model.tasks:
+        objective, owner = item.written.objective, item.task.space
+        block = ca.SX((owner.n if owner else nv), nv + nu + k_all)
+        unit = "m/s², rad/s²" if owner else "Nm"
+        if isinstance(objective, ForceObjective) and owner:
+            split = model.splits[owner]
+            block[:, offset[owner] : offset[owner] + split.k] = split.A.T
+            unit = "N, Nm"
+        else:
+            block[:, :nv] = model.spaces[owner].J if owner else model.M_N
+        blocks.append(block)
+        gives.append(Give(item.task.name, unit, slice(start, start + block.shape[0])))
+        start += block.shape[0]
+    return tuple(gives), ca.vertcat(*blocks)
+
+
+def _check_determined(model: ModeModel) -> None:
+    moved = sum(space.n for _, space in model.of(MotionObjective) if space)
+    if moved < model.robot.nv and not model.of(PostureObjective):
+        raise InputError(
+            f"mode {model.mode.name!r}: motion tasks fix {moved} of {model.robot.nv} freedoms; "
+            "add a posture task for the rest"
+        )
+
+
+def _stack(parts: object) -> SX:
+    return ca.vertcat(ca.SX(0, 1), *parts)  # type: ignore[misc]

@@ -1,0 +1,1 @@
+"""Scenarios: plants, runs, and the command line."""

@@ -1,0 +1,112 @@
+"""Force on the environment: feed-forward, PI, PI with velocity damping.
+
+    F_cmd = F_d + K_fp F_e + K_fi ∫F_e − d Aᵀ S⁻¹ A V,   F_e = F_d − Aᵀ λ_meas
+
+The measured wrench is split into Aᵀ λ_meas, which the constraint carries, and the rest: friction
+and whatever else acts outside A's rows. The rest, low-pass filtered, is fed forward as a
+known external wrench; left out, it loads the constrained rotations and tips a wiping tool.
+Source: LynchPark2017 §11.5; the damping in the metric S is derived in docs/formulation.md.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import final
+
+import casadi as ca
+import numpy as np
+
+from qpctrl.arrays import Array, Wrench, non_negative
+from qpctrl.factor import Factor
+from qpctrl.objective import ForceObjective, Scene, TaskExpressions
+from qpctrl.space import TaskSpace
+from qpctrl.spatial import SX
+
+
+@final
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ForceReference:
+    """The wrench to press with, and the one that is measured.
+
+    Both act on the environment, at the origin and along the axes of the task frame.
+    """
+
+    F_ref: Wrench
+    """Set-point (n) [N, Nm] that the ramp runs towards."""
+    F_meas: Wrench
+    """Measured wrench (n) [N, Nm]."""
+    gains: Mapping[str, Array] = field(default_factory=dict)
+    """Inputs of the task to change from this tick on, by name."""
+
+    def arrays(self) -> Mapping[str, Array]:
+        """Return the task inputs that this reference sets."""
+        return {"F_ref": self.F_ref, "F_meas": self.F_meas, **self.gains}
+
+
+@final
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ForceTask:
+    """Press with a wrench along the constrained directions.
+
+    K_fp = K_fi = damping = 0 is feed-forward alone; damping = 0 is PI; all of them the third
+    law. With force measured one tick late on a rigid contact K_fp < 1 and
+    K_fi · dt < 2 (1 − K_fp) are needed.
+    """
+
+    space: TaskSpace
+    K_fp: Array | float = 0.0
+    """Proportional gain (n) [1]."""
+    K_fi: Array | float = 0.0
+    """Integral gain (n) [1/s]."""
+    damping: Array | float = 0.0
+    """Velocity damping d [1/s] along A's rows; one number serves forces and moments."""
+    integral_max: Array | float = 50.0
+    """Saturation of ∫F_e (n) [N s, Nm s]."""
+    ramp: Array | float = 100.0
+    """Fastest change of the set-point (n) [N/s, Nm/s]."""
+    cutoff: Array | float = 30.0
+    """Cut-off [Hz] of the filter on the wrench outside A's rows; 0 ignores that wrench."""
+    name: str = "force"
+
+    def __post_init__(self) -> None:
+        n = (self.space.n,)
+        shapes = {"K_fp": n, "K_fi": n, "integral_max": n, "ramp": n, "damping": (), "cutoff": ()}
+        for key, shape in shapes.items():
+            value = non_negative(getattr(self, key), shape, f"{self.name}.{key}")
+            object.__setattr__(self, key, value)
+
+    def inputs(self) -> dict[str, Array]:
+        """Return set-point and measurement (zero) and the gains."""
+        n = self.space.n
+        gains = ("K_fp", "K_fi", "damping", "integral_max", "ramp", "cutoff")
+        return {
+            "F_ref": np.zeros(n),
+            "F_meas": np.zeros(n),
+            **{key: np.asarray(getattr(self, key)) for key in gains},
+        }
+
+    def memory(self) -> dict[str, Array]:
+        """Return the ramped set-point, ∫F_e and the filtered external wrench (n each)."""
+        n = self.space.n
+        return {"F_des": np.zeros(n), "integral": np.zeros(n), "F_ext": np.zeros(n)}
+
+    def objective(
+        self, scene: Scene, u: Mapping[str, SX], memory: Mapping[str, SX]
+    ) -> TaskExpressions:
+        """Return F_cmd and the external wrench at the measurement ``u``."""
+        terms, A = scene.terms, scene.A
+        assert terms is not None  # a force task always has a space
+        step = u["ramp"] * scene.dt
+        F_des = memory["F_des"] + ca.fmin(ca.fmax(u["F_ref"] - memory["F_des"], -step), step)
+        carried = A.T @ Factor(A @ A.T).solve(A @ u["F_meas"]) if A.shape[0] else 0 * u["F_meas"]
+        follow = 1 - ca.exp(-2 * np.pi * u["cutoff"] * scene.dt)
+        F_ext = memory["F_ext"] + follow * (u["F_meas"] - carried - memory["F_ext"])
+        F_e = F_des - carried
+        grown = memory["integral"] + (1 - scene.freeze) * scene.dt * F_e
+        integral = ca.fmin(ca.fmax(grown, -u["integral_max"]), u["integral_max"])
+        brake = A.T @ Factor(scene.S).solve(A @ terms.V) if A.shape[0] else 0 * terms.V
+        F_cmd = F_des + u["K_fp"] * F_e + u["K_fi"] * integral - u["damping"] * brake
+        return TaskExpressions(
+            objective=ForceObjective(F_cmd, F_ext),
+            memory={"F_des": F_des, "integral": integral, "F_ext": F_ext},
+            signals={"F_des": F_des, "F_meas": u["F_meas"], "F_cmd": F_cmd, "F_ext": F_ext},
+        )

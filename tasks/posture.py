@@ -1,0 +1,70 @@
+"""Posture: what a redundant arm does with the freedom that its tasks leave.
+
+a_post = K_p (q_ref − q) − K_d v, acting through the null space of the task spaces.
+Source: Khatib1987.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from qpctrl.arrays import Array, Vector, finite_array, non_negative
+from qpctrl.objective import PostureObjective, Scene, TaskExpressions
+from qpctrl.spatial import SX
+
+
+@final
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PostureReference:
+    """The configuration to lean towards."""
+
+    q_ref: Vector
+    """Configuration (nq) [rad or m]."""
+
+    def arrays(self) -> Mapping[str, Array]:
+        """Return the task inputs that this reference sets."""
+        return {"q_ref": self.q_ref}
+
+
+@final
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PostureTask:
+    """Lean towards a configuration without disturbing the task spaces."""
+
+    q_ref: Vector
+    """Configuration (nq) [rad or m] until a reference gives another."""
+    K_p: Array | float = 20.0
+    """Stiffness per unit inertia (nv) [1/s²]."""
+    K_d: Array | float = 9.0
+    """Damping per unit inertia (nv) [1/s]."""
+    name: str = "posture"
+    space: None = None
+    """A posture lives in joint space."""
+
+    def __post_init__(self) -> None:
+        shape = np.shape(self.q_ref)
+        object.__setattr__(self, "q_ref", finite_array(self.q_ref, shape, f"{self.name}.q_ref"))
+        for gain in ("K_p", "K_d"):
+            value = non_negative(getattr(self, gain), shape, f"{self.name}.{gain}")
+            object.__setattr__(self, gain, value)
+
+    def inputs(self) -> dict[str, Array]:
+        """Return the configuration and the gains."""
+        return {
+            "q_ref": self.q_ref,
+            "K_p": np.asarray(self.K_p),
+            "K_d": np.asarray(self.K_d),
+        }
+
+    def memory(self) -> dict[str, Array]:
+        """Return nothing: a posture has no memory."""
+        return {}
+
+    def objective(
+        self, scene: Scene, u: Mapping[str, SX], memory: Mapping[str, SX]
+    ) -> TaskExpressions:
+        """Return a_post at the configuration ``u``."""
+        a_post = u["K_p"] * (u["q_ref"] - scene.q) - u["K_d"] * scene.v
+        return TaskExpressions(objective=PostureObjective(a_post), memory={}, signals={})
