@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 
 from qpctrl.errors import InputError
 
-Vector: TypeAlias = Float[np.ndarray, " size"]
-Matrix: TypeAlias = Float[np.ndarray, "rows cols"]
+Vector: TypeAlias = Float[np.ndarray, " _"]
+Matrix: TypeAlias = Float[np.ndarray, "_ _"]
 Array: TypeAlias = Float[np.ndarray, "..."]
 Twist: TypeAlias = Float[np.ndarray, " 6"]
 Wrench: TypeAlias = Float[np.ndarray, " 6"]

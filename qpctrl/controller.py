@@ -13,6 +13,7 @@ from qpctrl.errors import InputError, unknown_name
 from qpctrl.fallback import Fallback
 from qpctrl.mode import Mode
 from qpctrl.objective import Reference
+from qpctrl.qp import FORMS
 from qpctrl.rank import DependentRows, independent
 from qpctrl.report import Command, TickReport
 from qpctrl.robot import Robot
@@ -89,10 +90,15 @@ class Controller:
         Raises:
             InputError: a name, gain, matrix or mode that cannot be used.
         """
+        if form not in FORMS:
+            raise unknown_name("form", form, FORMS)
         if law not in ("qp", "hybrid", "textbook"):
             raise unknown_name("law", law, ("qp", "hybrid", "textbook"))
         if not modes:
             raise InputError("controller: need at least one mode")
+        if len({mode.name for mode in modes}) < len(modes):
+            names = ", ".join(mode.name for mode in modes)
+            raise InputError(f"controller: names of modes must differ, got {names}")
         self.robot, self.dt, self.law = robot, float(positive(dt, (), "dt")), law
         tolerance = float(positive(kkt_tolerance, (), "kkt_tolerance"))
         self._fallback = Fallback(robot)
@@ -102,6 +108,11 @@ class Controller:
             self.engines[mode.name] = Engine(
                 robot, usable, form, make_solver(solver), self.dt, tolerance
             )
+            if law == "textbook" and not self.engines[mode.name].tick.has_law:
+                raise InputError(
+                    f"mode {mode.name!r} has no textbook law: it needs one task space, one motion "
+                    "task and every joint driven; use law 'qp' or 'hybrid'"
+                )
 
     def start(self, mode: str, q: Vector) -> Memory:
         """Return the memory of a controller that holds still at ``q`` (nq) in ``mode``."""
@@ -195,7 +206,7 @@ class Controller:
 
 def _judge(measurement: Measurement, memory: Memory) -> Status:
     q, v = measurement.q, measurement.v
-    if not math.isfinite(float(q.sum() + v.sum()) + measurement.time):
+    if not math.isfinite(float(q @ q) + float(v @ v) + measurement.time):
         return Status.NOT_FINITE
     if measurement.time <= memory.time:
         return Status.STALE

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from qpctrl.objective import Reference
 from qpctrl.rank import dependent_rows
 from qpctrl.report import ActiveLimit, TickReport, Yield
 from qpctrl.robot import Robot
-from qpctrl.solver import QpData, Solution, Solver, polish
+from qpctrl.solver import QpData, Solution, Solver, polish, solve_equalities
 from qpctrl.status import Status
 from qpctrl.tick import build_tick
 
@@ -30,6 +30,7 @@ SINGULAR_DAMPING = 0.05
 """Damping μ at the singularity itself [1/kg, 1/(kg m²)]."""
 
 
+@runtime_checkable
 class TaskMemory(Protocol):
     """The part of the controller's memory that a tick reads."""
 
@@ -90,13 +91,15 @@ class Engine:
 
     def solve(self, time: float) -> TickReport:
         """Return the report of the tick that was loaded."""
-        if not math.isfinite(float(self._u.sum() / UNBOUNDED)):
+        if not math.isfinite(float(self._u @ self._u)):
             return self.refuse(time, Status.NOT_FINITE)
         self._evaluate()
         damping = self._damp()
         names = dependent_rows(self.tick, self.terms["row_pivots"])
         if names:
             return self.refuse(time, Status.DEPENDENT_ROWS, names)
+        if not self.tick.has_law:
+            self._compare_with_kkt()
         solution = self._solver.solve(self._qp)
         kkt = self._residual(solution)
         if solution.feasible and not kkt <= self._tolerance:
@@ -137,21 +140,32 @@ class Engine:
         smallest = float(self.terms["space_pivots"].min(initial=1.0))
         if smallest >= SINGULAR_PIVOT:
             return 0.0
-        closeness = 1.0 - max(smallest, 0.0) / SINGULAR_PIVOT
+        share = smallest / SINGULAR_PIVOT if smallest > 0 else 0.0  # NaN after a zero pivot
+        closeness = 1.0 - share
         damping = max(SINGULAR_DAMPING * closeness**2, SINGULAR_DAMPING * 1e-6)
         self.inputs["mu"][...] = damping
         self._evaluate()
         return damping
 
     def _residual(self, solution: Solution) -> float:
-        inputs = self._certify.inputs
+        inputs, out = self._certify.inputs, self._certify.outputs
         inputs["x"][:], inputs["y"][:], inputs["z"][:] = solution[:3]
         self._certify()
-        return float(self._certify.outputs["kkt"].max())
+        if not math.isfinite(float(solution.x.sum() + out["tau"].sum())):
+            return math.inf  # the maximum in the certificate passes over NaN
+        return float(out["kkt"].max())
+
+    def _compare_with_kkt(self) -> None:
+        """Put the equality-constrained QP in the place of the closed form."""
+        x = solve_equalities(self._qp).x
+        self.terms["x_law"][:] = x
+        self.terms["tau_hybrid"][:] = self.terms["T"] @ x + self.terms["t"]
 
     def _report(self, time: float, solution: Solution, damping: float) -> TickReport:
         out, terms = self._certify.outputs, self.terms
         gaps = out["gaps"].tolist()
+        if not self.tick.has_law:
+            gaps[1:] = [math.nan] * 3
         active = np.flatnonzero(np.abs(solution.z) > ACTIVE_DUAL)
         return TickReport(
             time=time,

@@ -15,7 +15,8 @@ class Factor:
 
     def __init__(self, matrix: SX) -> None:
         self.pivots, self._LT, self._order = ca.ldl(ca.densify(matrix), False)
-        self.pivot_ratios = self.pivots / ca.diag(matrix)
+        diagonal = ca.diag(matrix)
+        self.pivot_ratios = ca.if_else(diagonal > 0, self.pivots / diagonal, 0)
 
     def solve(self, rhs: SX) -> SX:
         """Return ``matrix⁻¹ rhs``."""

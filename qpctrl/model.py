@@ -18,8 +18,8 @@ from qpctrl.layout import Layout
 from qpctrl.mode import Mode
 from qpctrl.objective import ForceObjective, Scene, Task, TaskExpressions
 from qpctrl.robot import Robot
-from qpctrl.space import SpaceTerms, TaskSpace
-from qpctrl.spatial import SX
+from qpctrl.space import FrameMotion, SpaceTerms, TaskSpace
+from qpctrl.spatial import SX, SymbolicPose
 
 T = TypeVar("T")
 
@@ -43,7 +43,8 @@ class ModeModel:
         spaces, splits: terms and constraint split of each task space.
         tasks: the tasks, written out.
         h: bias with known external wrenches (nv) [Nm].
-        M_N: M − JᵀΛJ = NᵀM = NᵀMN (nv×nv), the inertia left when all task spaces are taken.
+        M_N: M − JᵀΛJ (nv×nv), the inertia left when all task spaces are taken; undamped it
+            is NᵀM = NᵀMN.
     """
 
     def __init__(self, robot: Robot, mode: Mode) -> None:
@@ -92,7 +93,7 @@ class ModeModel:
     def _split(self, space: TaskSpace) -> Split:
         terms = self.spaces[space]
         rows = [
-            constraint.rows(terms, _named(self.u, constraint.name))
+            constraint.rows(terms.motion, _named(self.u, constraint.name))
             for constraint in self.mode.constraints
             if constraint.space == space
         ]
@@ -102,12 +103,15 @@ class ModeModel:
 
     def _write(self, task: Task) -> TaskExpressions:
         split = self.splits[task.space] if task.space else None
+        nowhere = FrameMotion(
+            TaskSpace("none"), SymbolicPose(ca.SX(3, 3), ca.SX(3, 1)), ca.SX(6, 1)
+        )
         scene = Scene(
             q=self.dynamics.q,
             v=self.dynamics.v,
             dt=self.u["dt"],
             freeze=self.u["freeze"],
-            terms=self.spaces[task.space] if task.space else None,
+            motion=self.spaces[task.space].motion if task.space else nowhere,
             A=split.A if split else ca.SX(0, 0),
             S=split.S if split else ca.SX(0, 0),
         )
@@ -127,10 +131,10 @@ class ModeModel:
     def _null_space_inertia(self) -> SX:
         nv = self.robot.nv
         spaces = list(self.spaces.values())
-        if sum(terms.space.n for terms in spaces) >= nv:
-            return ca.SX.zeros(nv, nv)
         if len(spaces) == 1:
             return self.dynamics.M - spaces[0].J.T @ spaces[0].Lambda @ spaces[0].J
+        if sum(terms.space.n for terms in spaces) > nv:
+            return ca.SX.zeros(nv, nv)
         J = ca.vertcat(ca.SX(0, nv), *(terms.J for terms in spaces))
         mobility = J @ self.M_factor.solve(J.T) + self.u["mu"] * ca.SX.eye(J.shape[0])
         return self.dynamics.M - J.T @ Factor(mobility).solve(J)

@@ -1,10 +1,10 @@
 """What a task asks of the QP: desired accelerations, wrenches, postures – all expressions."""
 
 from collections.abc import Mapping
-from typing import NamedTuple, Protocol, TypeAlias
+from typing import NamedTuple, Protocol, TypeAlias, runtime_checkable
 
 from qpctrl.arrays import Array
-from qpctrl.space import SpaceTerms, TaskSpace
+from qpctrl.space import FrameMotion, TaskSpace
 from qpctrl.spatial import SX
 
 
@@ -45,8 +45,8 @@ class Scene(NamedTuple):
     """Time since the last tick [s]."""
     freeze: SX
     """1 while integrators hold (a limit was active or contact lost), else 0."""
-    terms: SpaceTerms | None
-    """The task's space; none for a posture."""
+    motion: FrameMotion
+    """Pose and twist of the task's frame; a posture must not use it."""
     A: SX
     """Constraint rows (k×n) acting on that space; k = 0 in free space."""
     S: SX
@@ -63,6 +63,7 @@ class TaskExpressions(NamedTuple):
     """Quantities worth recording."""
 
 
+@runtime_checkable
 class Reference(Protocol):
     """What a task shall follow at one tick."""
 
@@ -70,6 +71,7 @@ class Reference(Protocol):
         """Return the task inputs that this reference sets."""
 
 
+@runtime_checkable
 class Task(Protocol):
     """Frozen parameters and a pure method from (scene, inputs, memory) to an objective."""
 

@@ -55,7 +55,7 @@ class QpTerms:
     """Bias with known external wrenches (nv) [Nm]."""
     AJ: SX
     """Constraint rows on joint acceleration (k×nv), all constraints stacked."""
-    drift: SX
+    b_c: SX
     """v̇_c − Ȧ V − A J̇v (k)."""
     B: Matrix
     torque: Bounds
@@ -88,7 +88,7 @@ def reduced_qp(terms: QpTerms) -> tuple[QpExpressions, RowNames]:
     dynamics = ca.horzcat(terms.M, terms.AJ.T)
     T, t = ca.SX(driven) @ dynamics, ca.SX(driven) @ terms.h
     A = ca.vertcat(ca.horzcat(terms.AJ, ca.SX.zeros(terms.k, terms.k)), ca.SX(undriven) @ dynamics)
-    b = ca.vertcat(terms.drift, -(ca.SX(undriven) @ terms.h))
+    b = ca.vertcat(terms.b_c, -(ca.SX(undriven) @ terms.h))
     torque = Bounds(terms.torque.lb - t, terms.torque.ub - t)
     qp = _arrange(terms, ca.SX(0, 0), A, b, T, torque)
     names = RowNames(
@@ -106,7 +106,7 @@ def full_qp(terms: QpTerms) -> tuple[QpExpressions, RowNames]:
         ca.horzcat(terms.AJ, ca.SX.zeros(k, nu + k)),
         ca.horzcat(terms.M, -ca.SX(terms.B), terms.AJ.T),
     )
-    b = ca.vertcat(terms.drift, -terms.h)
+    b = ca.vertcat(terms.b_c, -terms.h)
     qp = _arrange(terms, ca.SX.zeros(nu, nu), A, b, select, terms.torque)
     dynamics = tuple(f"dynamics {name}" for name in terms.joint_names)
     return qp._replace(T=select, t=ca.SX.zeros(nu)), RowNames(

@@ -1,13 +1,13 @@
 """Rows of A that depend on each other: found, named, dropped or refused."""
 
 from dataclasses import replace
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
 from qpctrl.arrays import Vector
 from qpctrl.constraint import Constraint, Selection
-from qpctrl.errors import InputError
+from qpctrl.errors import InputError, unknown_name
 from qpctrl.evaluator import Evaluator
 from qpctrl.mode import Mode
 from qpctrl.robot import Robot
@@ -34,6 +34,8 @@ def independent(robot: Robot, mode: Mode, treatment: DependentRows) -> Mode:
     Raises:
         InputError: rows depend on each other and ``treatment`` is ``refuse``.
     """
+    if treatment not in get_args(DependentRows):
+        raise unknown_name("treatment of dependent rows", treatment, get_args(DependentRows))
     while names := _dependent_at_home(robot, mode):
         if treatment == "refuse":
             raise InputError(

@@ -90,7 +90,8 @@ class TickReport:
         if self.status is not Status.OK:
             rows = f": {', '.join(self.dependent_rows)}" if self.dependent_rows else ""
             return f"fallback torque: {self.status.value}{rows}"
-        said = [f"QP = hybrid law to {self.law_gap:.1e}"] if not self.active else []
+        law = "KKT solution" if np.isnan(self.curvature) else "hybrid law"
+        said = [f"QP = {law} to {self.law_gap:.1e}"] if not self.active else []
         for limit in self.active:
             side = "upper" if limit.dual > 0 else "lower"
             said.append(f"{limit.name} at its {side} limit (dual {abs(limit.dual):.3g})")

@@ -14,6 +14,10 @@ DEFAULT_TORQUE_RATE = 1000.0
 """Torque-rate limit [Nm/s] of a robot whose file gives none (Franka FR3's figure)."""
 
 
+NO_LIMIT = 1e9
+"""Limits of a file from here on mean none."""
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Limits:
     """What joints and motors can do. ``inf`` means no limit."""
@@ -33,7 +37,7 @@ class Limits:
         for name in ("v_max", "tau_max", "tau_rate"):
             value = getattr(self, name)
             positive(np.where(np.isinf(value), 1.0, value), value.shape, name)
-        if (self.q_min >= self.q_max).any():
+        if not (self.q_min < self.q_max).all():
             raise InputError(
                 f"q_min {self.q_min.tolist()} is not below q_max {self.q_max.tolist()}"
             )
@@ -60,6 +64,7 @@ class Robot:
                 raise InputError(
                     f"joint {name!r} is {joint.shortname()}; need revolute or prismatic joints"
                 )
+        object.__setattr__(self, "home", finite_array(self.home, (self.nv,), "home"))
         if self.B.size == 0:
             object.__setattr__(self, "B", np.eye(self.nv))
         if self.B.shape[0] != self.nv or np.linalg.matrix_rank(self.B) < self.nu:
@@ -138,8 +143,8 @@ def from_pinocchio(
     if actuation.shape[1] != effort.shape[0]:
         effort = np.full(actuation.shape[1], np.inf)
     limits = Limits(
-        q_min=np.array(model.lowerPositionLimit),
-        q_max=np.array(model.upperPositionLimit),
+        q_min=-_far_is_none(-np.array(model.lowerPositionLimit)),
+        q_max=_far_is_none(np.array(model.upperPositionLimit)),
         v_max=_zero_is_none(np.array(model.upperVelocityLimit)),
         tau_max=_zero_is_none(effort),
         tau_rate=positive(tau_rate, effort.shape, "tau_rate"),
@@ -184,9 +189,13 @@ def urdf_text(path: Path) -> str:
             limit = joint.find("limit")
             limit = ElementTree.SubElement(joint, "limit") if limit is None else limit
             limit.attrib = {"effort": "0", "velocity": "0", **limit.attrib}
-            limit.attrib |= {"lower": "-1e9", "upper": "1e9"}
+            limit.attrib |= {"lower": f"{-NO_LIMIT}", "upper": f"{NO_LIMIT}"}
     return ElementTree.tostring(root, encoding="unicode")
 
 
+def _far_is_none(limit: Vector) -> Vector:
+    return np.where(limit >= NO_LIMIT, np.inf, limit)
+
+
 def _zero_is_none(limit: Vector) -> Vector:
-    return np.where((limit <= 0) | (limit > 1e9), np.inf, limit)
+    return np.where((limit <= 0) | (limit >= NO_LIMIT), np.inf, limit)

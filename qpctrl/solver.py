@@ -5,8 +5,9 @@
 """
 
 import functools
+import warnings
 from collections.abc import Callable
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 import proxsuite
@@ -19,6 +20,9 @@ from qpctrl.limit import UNBOUNDED
 
 EPS = 1e-11
 """Absolute accuracy asked of proxsuite; its default (1e-5) is wrong by up to 1e-3 in torque."""
+
+MAX_ITERATIONS = 200
+"""Iterations of proxsuite before it gives up; wiping needs 2 to 14."""
 
 
 class QpData(NamedTuple):
@@ -42,6 +46,7 @@ class Solution(NamedTuple):
     feasible: bool = True
 
 
+@runtime_checkable
 class Solver(Protocol):
     """A solver for QPs of one size, called once a tick."""
 
@@ -81,6 +86,8 @@ def _proxqp(qp: QpData) -> proxsuite.proxqp.dense.QP:
     solver = proxsuite.proxqp.dense.QP(len(qp.g), len(qp.b), len(qp.lb))
     solver.settings.eps_abs = EPS
     solver.settings.eps_rel = 0.0
+    solver.settings.max_iter = MAX_ITERATIONS
+    solver.settings.max_iter_in = MAX_ITERATIONS
     solver.settings.initial_guess = proxsuite.proxqp.WARM_START_WITH_PREVIOUS_RESULT
     solver.settings.compute_timings = False
     solver.init(qp.H, qp.g, qp.A, qp.b, qp.C, qp.lb, qp.ub)
@@ -102,8 +109,10 @@ class QpSolvers:
         H, G, A = (csc_matrix(m) if self._sparse else m for m in (qp.H, G, qp.A))
         rows = (A, qp.b) if len(qp.b) else (None, None)
         try:
-            found = qpsolvers.solve_problem(qpsolvers.Problem(H, qp.g, G, h, *rows), self._name)
-        except (qpsolvers.SolverError, ValueError):
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # what they say is in the outcome
+                found = qpsolvers.solve_problem(qpsolvers.Problem(H, qp.g, G, h, *rows), self._name)
+        except (qpsolvers.exceptions.QPError, ValueError):
             return _nothing(qp)
         if found.x is None or not found.found:
             return _nothing(qp)
@@ -118,16 +127,27 @@ class QpSolvers:
 def polish(qp: QpData, rough: Solution) -> Solution:
     """Return the exact solution on the active set that ``rough`` points to.
 
-    A bound counts as active where its dual is larger than its slack. One linear solve of the
-    equality-constrained KKT system; whether the guess was right is judged by the residuals.
+    A bound counts as active where its dual is larger than its slack; whether that guess was
+    right is judged by the residuals.
     """
     Cx = qp.C @ rough.x
     upper, lower = rough.z > qp.ub - Cx, -rough.z > Cx - qp.lb
-    active = upper | lower
+    return _solve_kkt(qp, np.flatnonzero(upper | lower), np.where(upper, qp.ub, qp.lb))
+
+
+def solve_equalities(qp: QpData) -> Solution:
+    """Return the minimiser of the QP without its inequalities."""
+    return _solve_kkt(qp, np.empty(0, dtype=int), qp.lb)
+
+
+def _solve_kkt(qp: QpData, active: Any, bound: Vector) -> Solution:
+    """Solve the KKT system with the rows ``active`` of C at ``bound``, refined once."""
     rows = np.vstack([qp.A, qp.C[active]])
     n, m = len(qp.g), len(rows)
     kkt = np.block([[qp.H, rows.T], [rows, np.zeros((m, m))]])
-    rhs = np.concatenate([-qp.g, qp.b, np.where(upper, qp.ub, qp.lb)[active]])
+    rhs = np.concatenate([-qp.g, qp.b, bound[active]])
+    if not np.isfinite(kkt).all() or not np.isfinite(rhs).all():
+        return _nothing(qp)
     point = np.linalg.lstsq(kkt, rhs, rcond=None)[0]
     point += np.linalg.lstsq(kkt, rhs - kkt @ point, rcond=None)[0]
     z = np.zeros(len(qp.lb))

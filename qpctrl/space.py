@@ -5,6 +5,7 @@ Source: Khatib1987; LynchPark2017 §8.6.
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import casadi as ca
 
@@ -47,15 +48,27 @@ class TaskSpace:
         return any(axis.startswith("w") for axis in self.axes)
 
 
+class FrameMotion(NamedTuple):
+    """Pose and twist of the frame of a task space."""
+
+    space: TaskSpace
+    X_WF: SymbolicPose
+    V_full: SX
+    """Body twist (6) [m/s, rad/s]."""
+
+    @property
+    def V(self) -> SX:
+        """Twist along the axes of the space (n)."""
+        return self.V_full[self.space.index]
+
+
 class SpaceTerms:
     """Expressions of one task space at (q, v).
 
     Attributes:
-        X_WF: pose of the frame in the world.
-        V_full: its body twist (6) [m/s, rad/s].
+        motion: pose and twist of the frame.
         J: Jacobian of the space's axes (n×nv).
         J_dot_v: drift (n) [m/s², rad/s²].
-        V: twist along the axes (n).
         Lambda_inv, Lambda: task-space inertia and its inverse (n×n), damped by ``mu``.
         pivot_ratios: of the undamped Λ⁻¹ (n); near 0 at a singularity.
     """
@@ -64,11 +77,9 @@ class SpaceTerms:
         frame = dynamics.frame(space.frame)
         index = space.index
         self.space = space
-        self.X_WF: SymbolicPose = frame.X_WF
-        self.V_full = ca.densify(frame.J @ dynamics.v)
+        self.motion = FrameMotion(space, frame.X_WF, ca.densify(frame.J @ dynamics.v))
         self.J = ca.densify(frame.J[index, :])
         self.J_dot_v = ca.densify(frame.J_dot_v[index])
-        self.V = self.V_full[index]
         self._M_inv_JT = M_factor.solve(self.J.T)
         mobility = self.J @ self._M_inv_JT
         self.pivot_ratios = Factor(mobility).pivot_ratios

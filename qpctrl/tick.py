@@ -123,14 +123,14 @@ def _qp_terms(model: ModeModel) -> QpTerms:
             g_a += weight * (JT_Lambda @ (terms.J_dot_v - objective.a_cmd))
         elif isinstance(objective, ForceObjective) and item.task.space:
             force_cost[item.task.space] = (weight, objective.F_cmd)
-    H_lam, g_lam, AJ, drift = [], [ca.SX(0, 1)], [ca.SX(0, nv)], [ca.SX(0, 1)]
+    H_lam, g_lam, AJ, b_c = [], [ca.SX(0, 1)], [ca.SX(0, nv)], [ca.SX(0, 1)]
     for space, split in model.splits.items():
         weight, F_cmd = force_cost[space]
         terms = model.spaces[space]
         H_lam.append(weight * split.S)
         g_lam.append(-weight * (split.A @ terms.Lambda_inv @ F_cmd))
         AJ.append(split.A @ terms.J)
-        drift.append(split.v_c_dot - split.A_dot_V - split.A @ terms.J_dot_v)
+        b_c.append(split.v_c_dot - split.A_dot_V - split.A @ terms.J_dot_v)
     constraints = [
         constraint
         for space in model.spaces
@@ -146,7 +146,7 @@ def _qp_terms(model: ModeModel) -> QpTerms:
         M=model.dynamics.M,
         h=model.h,
         AJ=ca.vertcat(*AJ),
-        drift=ca.vertcat(*drift),
+        b_c=ca.vertcat(*b_c),
         B=model.robot.B,
         torque=limit.torque_bounds(limits, u["dt"]),
         acceleration=limit.acceleration_bounds(limits, model.dynamics.q, model.dynamics.v),

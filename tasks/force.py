@@ -5,7 +5,7 @@
 The measured wrench is split into Aᵀ λ_meas, which the constraint carries, and the rest: friction
 and whatever else acts outside A's rows. The rest, low-pass filtered, is fed forward as a
 known external wrench; left out, it loads the constrained rotations and tips a wiping tool.
-Source: LynchPark2017 §11.5; the damping in the metric S is derived in docs/formulation.md.
+Source: LynchPark2017 §11.5; the damping in the metric S⁻¹ is derived in docs/formulation.md.
 """
 
 from collections.abc import Mapping
@@ -63,7 +63,7 @@ class ForceTask:
     """Saturation of ∫F_e (n) [N s, Nm s]."""
     ramp: Array | float = 100.0
     """Fastest change of the set-point (n) [N/s, Nm/s]."""
-    cutoff: Array | float = 30.0
+    cutoff: Array | float = 50.0
     """Cut-off [Hz] of the filter on the wrench outside A's rows; 0 ignores that wrench."""
     name: str = "force"
 
@@ -93,8 +93,7 @@ class ForceTask:
         self, scene: Scene, u: Mapping[str, SX], memory: Mapping[str, SX]
     ) -> TaskExpressions:
         """Return F_cmd and the external wrench at the measurement ``u``."""
-        terms, A = scene.terms, scene.A
-        assert terms is not None  # a force task always has a space
+        A, V = scene.A, scene.motion.V
         step = u["ramp"] * scene.dt
         F_des = memory["F_des"] + ca.fmin(ca.fmax(u["F_ref"] - memory["F_des"], -step), step)
         carried = A.T @ Factor(A @ A.T).solve(A @ u["F_meas"]) if A.shape[0] else 0 * u["F_meas"]
@@ -103,7 +102,7 @@ class ForceTask:
         F_e = F_des - carried
         grown = memory["integral"] + (1 - scene.freeze) * scene.dt * F_e
         integral = ca.fmin(ca.fmax(grown, -u["integral_max"]), u["integral_max"])
-        brake = A.T @ Factor(scene.S).solve(A @ terms.V) if A.shape[0] else 0 * terms.V
+        brake = A.T @ Factor(scene.S).solve(A @ V) if A.shape[0] else 0 * V
         F_cmd = F_des + u["K_fp"] * F_e + u["K_fi"] * integral - u["damping"] * brake
         return TaskExpressions(
             objective=ForceObjective(F_cmd, F_ext),

@@ -18,7 +18,7 @@ import pinocchio as pin
 from qpctrl.arrays import Array, Twist, non_negative
 from qpctrl.factor import Factor
 from qpctrl.objective import MotionObjective, Scene, TaskExpressions
-from qpctrl.space import SpaceTerms, TaskSpace
+from qpctrl.space import FrameMotion, TaskSpace
 from qpctrl.spatial import (
     SX,
     SymbolicPose,
@@ -96,9 +96,8 @@ class MotionTask:
         self, scene: Scene, u: Mapping[str, SX], memory: Mapping[str, SX]
     ) -> TaskExpressions:
         """Return a_cmd at the reference ``u``."""
-        terms = scene.terms
-        assert terms is not None  # a motion task always has a space
-        X_e, V_e, feed_forward = self._errors(terms, u)
+        motion = scene.motion
+        X_e, V_e, feed_forward = self._errors(motion, u)
         free = free_directions(scene.A)
         X_free, V_free = free @ X_e, free @ V_e
         grown = memory["integral"] + (1 - scene.freeze) * scene.dt * X_free
@@ -110,20 +109,23 @@ class MotionTask:
             signals={
                 "X_e": X_e,
                 "V_e": V_e,
-                "X_WF": ca.horzcat(terms.X_WF.R, terms.X_WF.p),
-                "V": terms.V_full,
+                "X_WF": ca.horzcat(motion.X_WF.R, motion.X_WF.p),
+                "V": motion.V_full,
             },
         )
 
-    def _errors(self, terms: SpaceTerms, u: Mapping[str, SX]) -> tuple[SX, SX, SX]:
+    def _errors(self, motion: FrameMotion, u: Mapping[str, SX]) -> tuple[SX, SX, SX]:
         X_WD = SymbolicPose(u["X_WD"][:, :3], u["X_WD"][:, 3])
-        V_des, V_dot_des = u["V_des"], u["V_dot_des"]
-        X_FD = compose(inverse(terms.X_WF), X_WD)
+        turning = ca.vertcat(1, 1, 1, *[float(self.space.turns)] * 3)
+        V_des, V_dot_des = turning * u["V_des"], turning * u["V_dot_des"]
+        X_FD = compose(inverse(motion.X_WF), X_WD)
         V_transported = motion_to_parent(X_FD, V_des)
-        feed_forward = motion_to_parent(X_FD, V_dot_des) + motion_cross(V_transported, terms.V_full)
+        feed_forward = motion_to_parent(X_FD, V_dot_des) + motion_cross(
+            V_transported, motion.V_full
+        )
         X_e = log6(X_FD) if self.space.turns else ca.vertcat(X_FD.p, ca.SX.zeros(3))
         index = self.space.index
-        return X_e[index], (V_transported - terms.V_full)[index], feed_forward[index]
+        return X_e[index], (V_transported - motion.V_full)[index], feed_forward[index]
 
 
 def free_directions(A: SX) -> SX:

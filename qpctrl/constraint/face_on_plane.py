@@ -10,7 +10,7 @@ import numpy as np
 from qpctrl.arrays import Array, Rotation
 from qpctrl.constraint.pfaffian import PfaffianRows, differentiate
 from qpctrl.errors import InputError
-from qpctrl.space import SpaceTerms, TaskSpace
+from qpctrl.space import FrameMotion, TaskSpace
 from qpctrl.spatial import AXES, SX, SymbolicPose
 
 
@@ -36,8 +36,11 @@ class FaceOnPlane:
             raise InputError(
                 f"face on plane needs the axes {' '.join(AXES)}, got {self.space.axes}"
             )
-        if np.shape(self.R_WE) != (3, 3) or not np.allclose(
-            self.R_WE.T @ self.R_WE, np.eye(3), atol=1e-9
+        R = np.asarray(self.R_WE)
+        if (
+            R.shape != (3, 3)
+            or not np.allclose(R.T @ R, np.eye(3), atol=1e-9)
+            or np.linalg.det(R) < 0
         ):
             raise InputError("R_WE: need a rotation matrix (3×3)")
 
@@ -55,7 +58,7 @@ class FaceOnPlane:
         """Return the believed orientation of the plane."""
         return {"R_WE": np.asarray(self.R_WE)}
 
-    def rows(self, terms: SpaceTerms, u: Mapping[str, SX]) -> PfaffianRows:
+    def rows(self, motion: FrameMotion, u: Mapping[str, SX]) -> PfaffianRows:
         """Return the three rows at the current pose."""
         none = ca.SX.zeros(1, 3)
 
@@ -67,4 +70,4 @@ class FaceOnPlane:
                 ca.horzcat(none, R_EF[1, :]),
             )
 
-        return differentiate(A, terms)
+        return differentiate(A, motion)

@@ -5,14 +5,14 @@ Source: LynchPark2017 §11.6.
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol, final
+from typing import NamedTuple, Protocol, final, runtime_checkable
 
 import casadi as ca
 import numpy as np
 
 from qpctrl.arrays import Array
 from qpctrl.errors import InputError
-from qpctrl.space import SpaceTerms, TaskSpace
+from qpctrl.space import FrameMotion, TaskSpace
 from qpctrl.spatial import SX, SymbolicPose, skew
 
 
@@ -27,6 +27,7 @@ class PfaffianRows(NamedTuple):
     """Acceleration v̇_c (k) of the environment along the rows."""
 
 
+@runtime_checkable
 class Constraint(Protocol):
     """What the environment forbids: k rows on the twist of one task space."""
 
@@ -49,7 +50,7 @@ class Constraint(Protocol):
     def inputs(self) -> dict[str, Array]:
         """Return the values that may change every tick, with their defaults."""
 
-    def rows(self, terms: SpaceTerms, u: Mapping[str, SX]) -> PfaffianRows:
+    def rows(self, motion: FrameMotion, u: Mapping[str, SX]) -> PfaffianRows:
         """Return the rows as expressions of the pose, the twist and the inputs ``u``."""
 
 
@@ -93,22 +94,37 @@ class Pfaffian:
         k = len(self.A)
         return {"A": np.asarray(self.A), "A_dot_V": np.zeros(k), "v_c_dot": np.zeros(k)}
 
-    def rows(self, terms: SpaceTerms, u: Mapping[str, SX]) -> PfaffianRows:
+    def rows(self, motion: FrameMotion, u: Mapping[str, SX]) -> PfaffianRows:
         """Return the inputs as they are."""
         return PfaffianRows(u["A"], u["A_dot_V"], u["v_c_dot"])
 
 
-def differentiate(A_of: Callable[[SymbolicPose], SX], terms: SpaceTerms) -> PfaffianRows:
+def differentiate(A_of: Callable[[SymbolicPose], SX], motion: FrameMotion) -> PfaffianRows:
     """Return the rows of a resting environment from ``A`` (k×n) as a function of the pose X_WF.
 
     Ȧ V is exact: the derivative of A along Ṙ = R [ω]×, ṗ = R v, by automatic differentiation.
     """
-    R, p, V = ca.SX.sym("R", 3, 3), ca.SX.sym("p", 3), ca.SX.sym("V", terms.space.n)
+    R, p, V = ca.SX.sym("R", 3, 3), ca.SX.sym("p", 3), ca.SX.sym("V", motion.space.n)
     A = A_of(SymbolicPose(R, p))
     pose = ca.vertcat(ca.vec(R), p)
-    R_WF, p_WF = terms.X_WF
-    rate = ca.vertcat(ca.vec(R_WF @ skew(terms.V_full[3:])), R_WF @ terms.V_full[:3])
+    R_WF, p_WF = motion.X_WF
+    rate = ca.vertcat(ca.vec(R_WF @ skew(motion.V_full[3:])), R_WF @ motion.V_full[:3])
     symbols = ca.vertcat(pose, V)
-    values = ca.vertcat(ca.vec(R_WF), p_WF, terms.V)
+    values = ca.vertcat(ca.vec(R_WF), p_WF, motion.V)
     A_here, A_dot_V = ca.substitute([A, ca.jtimes(A @ V, pose, rate)], [symbols], [values])
     return PfaffianRows(A_here, A_dot_V, ca.SX.zeros(A.shape[0]))
+
+
+def row_function(constraint: Constraint) -> ca.Function:
+    """Return (R_WF, p_WF, V_full, *inputs) → (A, Ȧ V, v̇_c) of one constraint, for plants."""
+    R, p, V = ca.SX.sym("R", 3, 3), ca.SX.sym("p", 3), ca.SX.sym("V", 6)
+    u = {name: ca.SX.sym(name, *np.shape(value)) for name, value in constraint.inputs().items()}
+    rows = constraint.rows(FrameMotion(constraint.space, SymbolicPose(R, p), V), u)
+    names = ["R_WF", "p_WF", "V", *u]
+    return ca.Function(
+        "rows",
+        [R, p, V, *u.values()],
+        [ca.densify(part) for part in rows],
+        names,
+        ["A", "A_dot_V", "v_c_dot"],
+    )

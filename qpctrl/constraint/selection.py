@@ -6,7 +6,7 @@ from typing import final
 
 from qpctrl.arrays import Array
 from qpctrl.constraint.pfaffian import Constraint, PfaffianRows
-from qpctrl.space import SpaceTerms, TaskSpace
+from qpctrl.space import FrameMotion, TaskSpace
 from qpctrl.spatial import SX
 
 
@@ -42,8 +42,8 @@ class Selection:
         """Return the inputs of the whole constraint."""
         return self.whole.inputs()
 
-    def rows(self, terms: SpaceTerms, u: Mapping[str, SX]) -> PfaffianRows:
+    def rows(self, motion: FrameMotion, u: Mapping[str, SX]) -> PfaffianRows:
         """Return the rows kept."""
         keep = list(self.keep)
-        A, A_dot_V, v_c_dot = self.whole.rows(terms, u)
+        A, A_dot_V, v_c_dot = self.whole.rows(motion, u)
         return PfaffianRows(A[keep, :], A_dot_V[keep], v_c_dot[keep])

@@ -1,0 +1,90 @@
+"""The MuJoCo plant: real contact of pad and board, force sensed by the simulator's sensor."""
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+
+from qpctrl.arrays import Vector, Wrench
+from scenarios.plant import PlantState
+from scenarios.plant_model import frame_pose
+from scenarios.sensor import ToolReading, WrenchSensor
+from scenarios.world import SENSOR, TOOL, World
+
+
+class MujocoPlant:
+    """The scene of a world, driven by joint torques."""
+
+    def __init__(self, world: World, *, force_noise: float = 0.0, seed: int = 0) -> None:
+        """Prepare the plant.
+
+        Args:
+            world: the scene.
+            force_noise: standard deviation of each measured force [N]; moments get a tenth
+                of the number [Nm].
+            seed: seed of that noise.
+        """
+        self._model = world.model
+        self._data = mujoco.MjData(world.model)
+        self._sensor = WrenchSensor(*_tool(world.model))
+        self._site = world.model.site(SENSOR).id
+        self._channels = {
+            name: self._data.sensor(name).data
+            for name in ("force", "torque", "accelerometer", "gyro", "angular acceleration")
+        }
+        self._noise = force_noise * np.array([1, 1, 1, 0.1, 0.1, 0.1])
+        self._rng = np.random.default_rng(seed)
+
+    def reset(self, q: Vector) -> PlantState:
+        """Return the state at rest in ``q`` (nq), held against gravity."""
+        mujoco.mj_resetData(self._model, self._data)
+        self._data.qpos[:] = q
+        mujoco.mj_forward(self._model, self._data)
+        self._data.qfrc_applied[:] = self._data.qfrc_bias
+        mujoco.mj_forward(self._model, self._data)
+        return self._state()
+
+    def step(self, tau: Vector) -> PlantState:
+        """Return the state after ``tau`` (nv) [Nm] has acted for one period."""
+        self._data.qfrc_applied[:] = tau
+        mujoco.mj_step(self._model, self._data)
+        return self._state()
+
+    def push_tool(self, F_W: Wrench) -> None:
+        """Apply a wrench (6) [N, Nm], world axes, to the eraser at the tool point from now on."""
+        point, body = self._data.site(TOOL).xpos, self._model.body("eraser/eraser").id
+        arm = point - self._data.xipos[body]
+        self._data.xfrc_applied[body] = np.r_[F_W[:3], F_W[3:] + np.cross(arm, F_W[:3])]
+
+    def _state(self) -> PlantState:
+        data, read = self._data, self._channels
+        R_WS = data.site_xmat[self._site].reshape(3, 3)
+        wrench = self._sensor.wrench_on_env(
+            ToolReading(
+                force=read["force"],
+                moment=read["torque"],
+                acceleration=read["accelerometer"],
+                angular_velocity=read["gyro"],
+                angular_acceleration=R_WS.T @ read["angular acceleration"],
+            )
+        )
+        if self._noise[0] > 0:
+            wrench = wrench + self._noise * self._rng.normal(size=6)
+        return PlantState(
+            time=float(data.time),
+            q=data.qpos.copy(),
+            v=data.qvel.copy(),
+            wrench_meas=wrench,
+            touching=bool(data.ncon > 0),
+        )
+
+
+def _tool(model: mujoco.MjModel) -> tuple[pin.Inertia, pin.SE3]:
+    """Return the eraser's inertia in the sensor frame, and the tool frame there."""
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    X_WS = frame_pose(model, data, SENSOR)
+    body = model.body("eraser/eraser").id
+    R_WI = data.ximat[body].reshape(3, 3)
+    about_com = R_WI @ np.diag(model.body_inertia[body]) @ R_WI.T
+    in_world = pin.Inertia(float(model.body_mass[body]), data.xipos[body].copy(), about_com)
+    return X_WS.actInv(in_world), X_WS.inverse() * frame_pose(model, data, TOOL)

@@ -1,0 +1,85 @@
+"""The exact rigid plant: M a + h + Jᵀ Aᵀ λ = τ with A V̇ + Ȧ V = v̇_c, integrated.
+
+Dynamics by pinocchio, independent of the controller's expressions; the constraint is the true
+one, which need not be what the controller believes.
+"""
+
+import numpy as np
+import pinocchio as pin
+
+from qpctrl.arrays import Matrix, Vector
+from qpctrl.constraint import Constraint, row_function
+from qpctrl.robot import Robot
+from scenarios.plant import PlantState
+
+
+class RigidPlant:
+    """A robot whose tool cannot leave its constraint; the wrench is exact at each state.
+
+    Classical Runge–Kutta with held torque; after each period the velocity is projected onto
+    the constraint in the metric M.
+    """
+
+    def __init__(self, robot: Robot, constraint: Constraint, *, dt: float = 1e-3) -> None:
+        self._model, self._data = robot.model, robot.model.createData()
+        self._frame, self._index = robot.frame_id(constraint.space.frame), constraint.space.index
+        self._rows = row_function(constraint)
+        self._inputs = list(constraint.inputs().values())
+        self._dt = dt
+        self._time = 0.0
+        self._q, self._v = np.zeros(robot.nv), np.zeros(robot.nv)
+
+    def reset(self, q: Vector) -> PlantState:
+        """Return the state at rest in ``q`` (nq), with no force on the environment."""
+        self._time, self._q, self._v = 0.0, np.array(q), np.zeros_like(q)
+        return self._state(np.zeros(6))
+
+    def step(self, tau: Vector) -> PlantState:
+        """Return the state after ``tau`` (nv) [Nm] has acted for one period.
+
+        The wrench is that of the start of the period, where the torque was computed.
+        """
+        q, v, dt = self._q, self._v, self._dt
+        a1, wrench = self.accelerate(q, v, tau)
+        a2, _ = self.accelerate(q + dt / 2 * v, v + dt / 2 * a1, tau)
+        a3, _ = self.accelerate(q + dt / 2 * v + dt**2 / 4 * a1, v + dt / 2 * a2, tau)
+        a4, _ = self.accelerate(q + dt * v + dt**2 / 2 * a2, v + dt * a3, tau)
+        self._q = q + dt * v + dt**2 / 6 * (a1 + a2 + a3)
+        self._v = self._project(self._q, v + dt / 6 * (a1 + 2 * a2 + 2 * a3 + a4))
+        self._time += dt
+        return self._state(wrench)
+
+    def accelerate(self, q: Vector, v: Vector, tau: Vector) -> tuple[Vector, Vector]:
+        """Return acceleration (nv) and wrench on the environment (6) [N, Nm] under ``tau``."""
+        M, h, J, drift, A, A_dot_V, v_c_dot = self._terms(q, v)
+        AJ = A @ J
+        k = len(A)
+        kkt = np.block([[M, AJ.T], [AJ, np.zeros((k, k))]])
+        rhs = np.concatenate([tau - h, v_c_dot - A_dot_V - A @ drift])
+        found = np.linalg.solve(kkt, rhs)
+        wrench = np.zeros(6)
+        wrench[self._index] = A.T @ found[len(M) :]
+        return found[: len(M)], wrench
+
+    def _project(self, q: Vector, v: Vector) -> Vector:
+        M, _, J, _, A, *_ = self._terms(q, v)
+        AJ = A @ J
+        M_inv_rows = np.linalg.solve(M, AJ.T)
+        return v - M_inv_rows @ np.linalg.solve(AJ @ M_inv_rows, AJ @ v)
+
+    def _terms(self, q: Vector, v: Vector) -> tuple[Matrix, ...]:
+        model, data, local = self._model, self._data, pin.ReferenceFrame.LOCAL
+        upper = np.triu(pin.crba(model, data, q))
+        M = upper + np.triu(upper, 1).T
+        h = pin.nonLinearEffects(model, data, q, v).copy()
+        J = pin.computeFrameJacobian(model, data, q, self._frame, local)
+        pin.forwardKinematics(model, data, q, v, np.zeros_like(v))
+        drift = pin.getFrameAcceleration(model, data, self._frame, local).vector
+        pin.updateFramePlacement(model, data, self._frame)
+        X_WF = data.oMf[self._frame]
+        rows = self._rows(X_WF.rotation, X_WF.translation, J @ v, *self._inputs)
+        A, A_dot_V, v_c_dot = (np.asarray(value) for value in rows)
+        return M, h, J[self._index], drift[self._index], A, A_dot_V.ravel(), v_c_dot.ravel()
+
+    def _state(self, wrench: Vector) -> PlantState:
+        return PlantState(self._time, self._q.copy(), self._v.copy(), wrench, touching=True)

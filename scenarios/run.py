@@ -1,0 +1,119 @@
+"""One run of a scenario, from parameters to the three files it leaves behind."""
+
+import dataclasses
+import importlib.metadata
+import json
+import math
+import os
+import platform
+import shutil
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+
+from qpctrl.errors import InputError
+from scenarios.record import write_parquet
+from scenarios.report import render_report
+from scenarios.scenario import Experiment, Options, Scenario
+from scenarios.simulation import simulate
+
+VERSIONED = ("qpctrl", "casadi", "mujoco", "numpy", "pin", "proxsuite", "qpsolvers")
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class Outcome:
+    """A finished run."""
+
+    experiment: Experiment
+    table: pl.DataFrame
+    """One row a tick."""
+    summary: dict[str, Any]
+    """What summary.json holds."""
+
+    @property
+    def passed(self) -> bool:
+        """Whether every criterion of the scenario holds."""
+        return bool(self.summary["passed"])
+
+
+def run_scenario(
+    scenario: Scenario, options: Options, *, watch: Callable[[float, str], None] | None = None
+) -> Outcome:
+    """Run a scenario and judge it by its own criteria."""
+    experiment = scenario.prepare(options)
+    started = time.perf_counter()
+    table = simulate(experiment, watch=watch)
+    elapsed = time.perf_counter() - started
+    metrics = scenario.metrics(table)
+    metrics["duration_s"] = float(table["time"][-1]) if len(table) else 0.0
+    metrics["realtime_factor"] = metrics["duration_s"] / elapsed
+    criteria = scenario.judge(metrics)
+    summary = {
+        "scenario": scenario.name,
+        "passed": all(criterion.passed for criterion in criteria),
+        "criteria": [{**c._asdict(), "passed": c.passed} for c in criteria],
+        "metrics": metrics,
+        "config": {**dataclasses.asdict(scenario), **dataclasses.asdict(options)},  # type: ignore[call-overload]
+        "seed": options.seed,
+        "versions": versions(),
+    }
+    return Outcome(experiment=experiment, table=table, summary=_plain(summary))
+
+
+def versions() -> dict[str, str]:
+    """Return the versions that the numbers of a run depend on."""
+    found = {name: importlib.metadata.version(name) for name in VERSIONED}
+    return {**found, "python": platform.python_version(), "machine": platform.machine()}
+
+
+def writable_folder(path: Path) -> Path:
+    """Return ``path`` as an existing folder that can be written.
+
+    Raises:
+        InputError: it cannot be made or written.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=path):
+            pass
+    except OSError as error:
+        raise InputError(f"output folder {str(path)!r}: {error.strerror}") from error
+    return path
+
+
+def write_outcome(outcome: Outcome, folder: Path) -> None:
+    """Write summary.json, ticks.parquet and report.html; all of them or none.
+
+    Raises:
+        InputError: the folder cannot be written.
+    """
+    writable_folder(folder)
+    try:
+        staging = Path(tempfile.mkdtemp(dir=folder, prefix=".writing-"))
+        try:
+            write_parquet(outcome.table, staging / "ticks.parquet")
+            text = json.dumps(outcome.summary, indent=2, ensure_ascii=False, allow_nan=False)
+            (staging / "summary.json").write_text(text + "\n", encoding="utf-8")
+            html = render_report(outcome.summary, outcome.table, outcome.experiment.geometry)
+            (staging / "report.html").write_text(html, encoding="utf-8")
+            for file in sorted(staging.iterdir()):
+                os.replace(file, folder / file.name)
+        finally:
+            shutil.rmtree(staging, ignore_errors=True)
+    except OSError as error:
+        raise InputError(f"output folder {str(folder)!r}: {error.strerror}") from error
+
+
+def _plain(value: Any) -> Any:
+    """Return ``value`` as JSON knows it; NaN and infinities become null."""
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value

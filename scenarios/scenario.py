@@ -1,0 +1,95 @@
+"""What a scenario is: frozen parameters that set up an experiment and judge its record."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal, NamedTuple, Protocol
+
+import polars as pl
+
+from qpctrl.arrays import Array
+from qpctrl.controller import Controller
+from qpctrl.objective import Reference
+from qpctrl.robot import Robot
+from scenarios.plant import Plant, PlantState
+
+
+class Directive(NamedTuple):
+    """What a guide asks of the controller at one tick."""
+
+    phase: str
+    mode: str
+    references: Mapping[str, Reference]
+    in_contact: bool
+
+
+class Guide(Protocol):
+    """Decides, tick by tick, what the robot shall do; its state is its own, explicit and small."""
+
+    def direct(self, state: PlantState) -> Directive | None:
+        """Return what to do at ``state``, or none when the job is done."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Experiment:
+    """A controller, a plant, and what to do with them."""
+
+    robot: Robot
+    controller: Controller
+    plant: Plant
+    guide: Guide
+    start_mode: str
+    q_start: Array
+    """Configuration (nq) [rad or m] at time 0."""
+    horizon: float
+    """Longest time the run can take [s]."""
+    geometry: Mapping[str, Array]
+    """Poses (4×4) that a picture of the run needs, by name."""
+
+
+class Criterion(NamedTuple):
+    """One condition of success: ``value ≤ limit``."""
+
+    name: str
+    value: float
+    limit: float
+    unit: str
+
+    @property
+    def passed(self) -> bool:
+        """Whether it holds; a NaN does not."""
+        return self.value <= self.limit
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """How to run any scenario."""
+
+    law: Literal["qp", "hybrid", "textbook"] = "qp"
+    """Whose torque is sent; the others are computed and compared."""
+    solver: str = "proxsuite"
+    """proxsuite, or an installed back-end of qpsolvers."""
+    form: Literal["reduced", "full"] = "reduced"
+    """Variables of the QP: (a, λ) or (a, τ, λ)."""
+    seed: int = 0
+    """Seed of every random number of the run."""
+
+
+class Scenario(Protocol):
+    """Frozen parameters of one experiment."""
+
+    @property
+    def name(self) -> str:
+        """Name on the command line."""
+
+    @property
+    def summary(self) -> str:
+        """One line for the list of scenarios."""
+
+    def prepare(self, options: Options) -> Experiment:
+        """Return the experiment, ready to run."""
+
+    def metrics(self, table: pl.DataFrame) -> dict[str, float]:
+        """Return the scenario's metrics of a record."""
+
+    def judge(self, metrics: Mapping[str, float]) -> tuple[Criterion, ...]:
+        """Return the scenario's own criteria on its metrics."""

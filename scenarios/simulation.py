@@ -1,0 +1,44 @@
+"""The loop: guide, controller, plant, record."""
+
+import time
+from collections.abc import Callable
+
+import polars as pl
+
+from qpctrl.controller import Measurement
+from scenarios.record import Record, Tick
+from scenarios.scenario import Experiment
+
+
+def simulate(
+    experiment: Experiment, *, watch: Callable[[float, str], None] | None = None
+) -> pl.DataFrame:
+    """Run an experiment to its end and return its record, one row a tick.
+
+    Args:
+        experiment: what to run.
+        watch: called with the simulated time [s] and the phase, a few times a second.
+    """
+    controller, plant, guide = experiment.controller, experiment.plant, experiment.guide
+    record = Record(controller)
+    state = plant.reset(experiment.q_start)
+    memory = controller.start(experiment.start_mode, experiment.q_start)
+    clock, ticks = time.perf_counter_ns, 0
+    while state.time < experiment.horizon:
+        directive = guide.direct(state)
+        if directive is None:
+            break
+        measurement = Measurement(state.time, state.q, state.v, directive.in_contact)
+        started = clock()
+        command, report, memory = controller.step(
+            directive.mode, measurement, directive.references, memory
+        )
+        tick_us = (clock() - started) / 1e3
+        record.add(
+            Tick(directive=directive, state=state, command=command, report=report, tick_us=tick_us)
+        )
+        state = plant.step(controller.robot.B @ command.tau)
+        ticks += 1
+        if watch is not None and ticks % 250 == 0:
+            watch(state.time, directive.phase)
+    return record.table()
