@@ -22,7 +22,8 @@ INPUTS = (
 def build_certificate(tick: Tick) -> ca.Function:
     """Return (x, y, z, *INPUTS) → (tau, kkt, gaps, give) for one tick.
 
-    ``kkt`` (4): stationarity, equality, inequality, complementarity, all absolute.
+    ``kkt`` (4): stationarity, equality, inequality, complementarity, each as its largest
+    entry over the largest of the terms that it balances, or over 1 where those are smaller.
     ``gaps`` (4), relative to max |τ|: QP − hybrid, QP − textbook, QP − textbook + curvature,
     curvature. ``give``: G (x − x_law), what each task gets beyond the hybrid law.
     """
@@ -48,8 +49,8 @@ def build_certificate(tick: Tick) -> ca.Function:
 
 
 def _kkt(s: dict[str, SX], x: SX, y: SX, z: SX) -> SX:
-    Cx = s["C"] @ x
-    stationarity = s["H"] @ x + s["g"] + s["A"].T @ y + s["C"].T @ z
+    Cx, Ax = s["C"] @ x, s["A"] @ x
+    terms = (s["H"] @ x, s["g"], s["A"].T @ y, s["C"].T @ z)
     above, below = s["ub"] - Cx, Cx - s["lb"]
     push_down, push_up = ca.fmax(z, 0), ca.fmax(-z, 0)
     complementarity = ca.fmax(
@@ -57,11 +58,15 @@ def _kkt(s: dict[str, SX], x: SX, y: SX, z: SX) -> SX:
         push_up * ca.if_else(s["lb"] > -UNBOUNDED / 2, ca.fabs(below), 1),
     )
     return ca.vertcat(
-        _largest(stationarity),
-        _largest(s["A"] @ x - s["b"]),
-        ca.fmax(_largest(ca.fmax(-above, 0)), _largest(ca.fmax(-below, 0))),
-        _largest(complementarity),
+        _largest(sum(terms)) / _scale(*terms),
+        _largest(Ax - s["b"]) / _scale(Ax, s["b"]),
+        ca.fmax(_largest(ca.fmax(-above, 0)), _largest(ca.fmax(-below, 0))) / _scale(Cx),
+        _largest(complementarity) / _scale(z),
     )
+
+
+def _scale(*terms: SX) -> SX:
+    return _largest(ca.vertcat(1, *terms))
 
 
 def _largest(vector: SX) -> SX:

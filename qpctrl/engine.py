@@ -10,7 +10,6 @@ from qpctrl import certificate
 from qpctrl.arrays import Vector
 from qpctrl.errors import unknown_name
 from qpctrl.evaluator import Evaluator
-from qpctrl.limit import UNBOUNDED
 from qpctrl.mode import Mode
 from qpctrl.objective import Reference
 from qpctrl.rank import dependent_rows
@@ -22,6 +21,9 @@ from qpctrl.tick import build_tick
 
 ACTIVE_DUAL = 1e-8
 """A row counts as active when its dual is larger than this."""
+
+POLISH_ABOVE = 1e-11
+"""KKT residual above which one exact solve on the active set is tried."""
 
 SINGULAR_PIVOT = 1e-5
 """Pivot ratio of Λ⁻¹ below which it is damped."""
@@ -100,10 +102,7 @@ class Engine:
             return self.refuse(time, Status.DEPENDENT_ROWS, names)
         if not self.tick.has_law:
             self._compare_with_kkt()
-        solution = self._solver.solve(self._qp)
-        kkt = self._residual(solution)
-        if solution.feasible and not kkt <= self._tolerance:
-            kkt = self._residual(solution := polish(self._qp, solution))
+        solution, kkt = self._solve_qp()
         if not kkt <= self._tolerance:
             return self.refuse(time, Status.INACCURATE if solution.feasible else Status.INFEASIBLE)
         return self._report(time, solution, damping)
@@ -146,6 +145,17 @@ class Engine:
         self.inputs["mu"][...] = damping
         self._evaluate()
         return damping
+
+    def _solve_qp(self) -> tuple[Solution, float]:
+        """Return the solution and its residual, polished where that helps."""
+        solution = self._solver.solve(self._qp)
+        kkt = self._residual(solution)
+        if solution.feasible and (solution.rough or not kkt <= POLISH_ABOVE):
+            polished = polish(self._qp, solution)
+            if (better := self._residual(polished)) < kkt:
+                return polished, better
+            self._residual(solution)
+        return solution, kkt
 
     def _residual(self, solution: Solution) -> float:
         inputs, out = self._certify.inputs, self._certify.outputs

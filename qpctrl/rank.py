@@ -53,6 +53,7 @@ def _dependent_at_home(robot: Robot, mode: Mode) -> tuple[str, ...]:
     evaluate = Evaluator(tick.function)
     evaluate.inputs["q"][:] = robot.home
     evaluate.inputs["u"][:] = tick.inputs.vector()
+    tick.inputs.views(evaluate.inputs["u"])["mu"][...] = 1.0  # a singular home has rows like others
     evaluate()
     return dependent_rows(tick, evaluate.outputs["row_pivots"])
 

@@ -21,6 +21,9 @@ from qpctrl.limit import UNBOUNDED
 EPS = 1e-11
 """Absolute accuracy asked of proxsuite; its default (1e-5) is wrong by up to 1e-3 in torque."""
 
+EPS_RELATIVE = 1e-13
+"""Accuracy relative to the data, for QPs too large in number for the absolute one."""
+
 MAX_ITERATIONS = 200
 """Iterations of proxsuite before it gives up; wiping needs 2 to 14."""
 
@@ -38,12 +41,15 @@ class QpData(NamedTuple):
 
 
 class Solution(NamedTuple):
-    """Primal and dual point; ``feasible`` is false where the solver proved there is none."""
+    """Primal and dual point of a QP."""
 
     x: Vector
     y: Vector
     z: Vector
     feasible: bool = True
+    """False where the solver found that there is no solution."""
+    rough: bool = False
+    """Whether the solver knows that it stopped short of its absolute accuracy."""
 
 
 @runtime_checkable
@@ -76,7 +82,8 @@ class ProxSuite:
         results = self._qp.results
         infeasible = proxsuite.proxqp.PROXQP_PRIMAL_INFEASIBLE
         feasible = results.info.status != infeasible
-        solution = Solution(results.x.copy(), results.y.copy(), results.z.copy(), feasible)
+        rough = max(results.info.dua_res, results.info.pri_res) > 2 * EPS
+        solution = Solution(results.x.copy(), results.y.copy(), results.z.copy(), feasible, rough)
         if results.info.status != proxsuite.proxqp.PROXQP_SOLVED:
             self._qp = None
         return solution
@@ -85,7 +92,7 @@ class ProxSuite:
 def _proxqp(qp: QpData) -> proxsuite.proxqp.dense.QP:
     solver = proxsuite.proxqp.dense.QP(len(qp.g), len(qp.b), len(qp.lb))
     solver.settings.eps_abs = EPS
-    solver.settings.eps_rel = 0.0
+    solver.settings.eps_rel = EPS_RELATIVE
     solver.settings.max_iter = MAX_ITERATIONS
     solver.settings.max_iter_in = MAX_ITERATIONS
     solver.settings.initial_guess = proxsuite.proxqp.WARM_START_WITH_PREVIOUS_RESULT
@@ -148,8 +155,11 @@ def _solve_kkt(qp: QpData, active: Any, bound: Vector) -> Solution:
     rhs = np.concatenate([-qp.g, qp.b, bound[active]])
     if not np.isfinite(kkt).all() or not np.isfinite(rhs).all():
         return _nothing(qp)
-    point = np.linalg.lstsq(kkt, rhs, rcond=None)[0]
-    point += np.linalg.lstsq(kkt, rhs - kkt @ point, rcond=None)[0]
+    try:
+        point = np.linalg.solve(kkt, rhs)
+        point += np.linalg.solve(kkt, rhs - kkt @ point)
+    except np.linalg.LinAlgError:
+        return _nothing(qp)
     z = np.zeros(len(qp.lb))
     z[active] = point[n + len(qp.b) :]
     return Solution(point[:n], point[n : n + len(qp.b)], z)

@@ -70,7 +70,8 @@ class SpaceTerms:
         J: Jacobian of the space's axes (n×nv).
         J_dot_v: drift (n) [m/s², rad/s²].
         Lambda_inv, Lambda: task-space inertia and its inverse (n×n), damped by ``mu``.
-        pivot_ratios: of the undamped Λ⁻¹ (n); near 0 at a singularity.
+        pivot_ratios: pivots of the undamped Λ⁻¹ (n) over the frame's mobility in all directions
+            of the same unit; near 0 at a singularity.
     """
 
     def __init__(self, space: TaskSpace, dynamics: Dynamics, M_factor: Factor, mu: SX) -> None:
@@ -82,7 +83,7 @@ class SpaceTerms:
         self.J_dot_v = ca.densify(frame.J_dot_v[index])
         self._M_inv_JT = M_factor.solve(self.J.T)
         mobility = self.J @ self._M_inv_JT
-        self.pivot_ratios = Factor(mobility).pivot_ratios
+        self.pivot_ratios = Factor(mobility).pivots / _mobility_of_frame(frame.J, M_factor)[index]
         self.Lambda_inv = mobility + mu * ca.SX.eye(space.n)
         self.Lambda = Factor(self.Lambda_inv).solve(ca.SX.eye(space.n))
 
@@ -94,3 +95,11 @@ class SpaceTerms:
     def J_bar(self) -> SX:
         """Dynamically consistent inverse J̄ (nv×n)."""
         return self._M_inv_JT @ self.Lambda
+
+
+def _mobility_of_frame(J: SX, M_factor: Factor) -> SX:
+    """Return, for each axis (6), the trace of J M⁻¹ Jᵀ over the axes of its unit."""
+    traces = [
+        ca.trace(block @ M_factor.solve(ca.densify(block.T))) for block in (J[:3, :], J[3:, :])
+    ]
+    return ca.vertcat(*(ca.fmax(trace, 1e-12) for trace in traces for _ in range(3)))
