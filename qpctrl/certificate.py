@@ -1,4 +1,4 @@
-"""The certificate of a tick: KKT residuals, gaps to both laws, what each task gave.
+"""The certificate of a tick: KKT residuals and gaps to both laws.
 
 One CasADi function of the solver's answer and the tick's outputs.
 """
@@ -14,18 +14,18 @@ KKT_TOLERANCE = 1e-9
 
 INPUTS = (
     *("H", "g", "A", "b", "C", "lb", "ub", "T", "t"),
-    *("tau_textbook", "tau_hybrid", "curvature", "x_law", "G"),
+    *("tau_textbook", "tau_hybrid", "curvature"),
 )
 """Outputs of the tick that the certificate reads, after x, y and z."""
 
 
 def build_certificate(tick: Tick) -> ca.Function:
-    """Return (x, y, z, *INPUTS) → (tau, kkt, gaps, give) for one tick.
+    """Return (x, y, z, *INPUTS) → (tau, kkt, gaps) for one tick.
 
     ``kkt`` (4): stationarity, equality, inequality, complementarity, each as its largest
     entry over the largest of the terms that it balances, or over 1 where those are smaller.
     ``gaps`` (4), relative to max |τ|: QP − hybrid, QP − textbook, QP − textbook + curvature,
-    curvature. ``give``: G (x − x_law), what each task gets beyond the hybrid law.
+    curvature.
     """
     f = tick.function
     s = {name: ca.SX.sym(name, *f.size_out(name)) for name in INPUTS}
@@ -41,9 +41,9 @@ def build_certificate(tick: Tick) -> ca.Function:
     return ca.Function(
         "certificate",
         [x, y, z, *s.values()],
-        [tau, _kkt(s, x, y, z), gaps / size, s["G"] @ (x - s["x_law"])],
+        [tau, _kkt(s, x, y, z), gaps / size],
         ["x", "y", "z", *s],
-        ["tau", "kkt", "gaps", "give"],
+        ["tau", "kkt", "gaps"],
         {"cse": True},
     )
 
@@ -58,7 +58,7 @@ def _kkt(s: dict[str, SX], x: SX, y: SX, z: SX) -> SX:
         push_up * ca.if_else(s["lb"] > -UNBOUNDED / 2, ca.fabs(below), 1),
     )
     return ca.vertcat(
-        _largest(sum(terms)) / _scale(*terms),
+        _largest(terms[0] + terms[1] + terms[2] + terms[3]) / _scale(*terms),
         _largest(Ax - s["b"]) / _scale(Ax, s["b"]),
         ca.fmax(_largest(ca.fmax(-above, 0)), _largest(ca.fmax(-below, 0))) / _scale(Cx),
         _largest(complementarity) / _scale(z),

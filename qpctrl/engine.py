@@ -25,8 +25,8 @@ ACTIVE_DUAL = 1e-8
 POLISH_ABOVE = 1e-11
 """KKT residual above which one exact solve on the active set is tried."""
 
-SINGULAR_PIVOT = 1e-5
-"""Pivot ratio of Λ⁻¹ below which it is damped."""
+SINGULAR_MOBILITY = 1e-4
+"""Share of the mobility left along an axis below which Λ⁻¹ is damped."""
 
 SINGULAR_DAMPING = 0.05
 """Damping μ at the singularity itself [1/kg, 1/(kg m²)]."""
@@ -129,17 +129,17 @@ class Engine:
             curvature=math.nan,
             active=(),
             yields=(),
-            damping=0.0,
+            damping=float(self.inputs["mu"]),
             dependent_rows=rows,
             signals=np.full(self.terms["signals"].shape, np.nan),
         )
 
     def _damp(self) -> float:
         """Evaluate again with a damped Λ⁻¹ where its smallest pivot is too small."""
-        smallest = float(self.terms["space_pivots"].min(initial=1.0))
-        if smallest >= SINGULAR_PIVOT:
+        smallest = float(self.terms["mobility_left"].min(initial=1.0))
+        if smallest >= SINGULAR_MOBILITY:
             return 0.0
-        share = smallest / SINGULAR_PIVOT if smallest > 0 else 0.0  # NaN after a zero pivot
+        share = smallest / SINGULAR_MOBILITY if smallest > 0 else 0.0  # NaN where Λ is
         closeness = 1.0 - share
         damping = max(SINGULAR_DAMPING * closeness**2, SINGULAR_DAMPING * 1e-6)
         self.inputs["mu"][...] = damping
@@ -191,7 +191,7 @@ class Engine:
             unexplained_gap=gaps[2],
             curvature=gaps[3],
             active=tuple(self._active(int(i), float(solution.z[i])) for i in active),
-            yields=self._yields() if len(active) else (),
+            yields=self._yields(solution.x) if len(active) else (),
             damping=damping,
             dependent_rows=(),
             signals=terms["signals"].copy(),
@@ -211,8 +211,8 @@ class Engine:
             kind = "velocity" if abs(bound - by_speed) < 1e-9 * (1 + abs(bound)) else "position"
         return ActiveLimit(f"{kind} {owner}", dual)
 
-    def _yields(self) -> tuple[Yield, ...]:
-        give = self._certify.outputs["give"]
+    def _yields(self, x: Vector) -> tuple[Yield, ...]:
+        give = self.terms["G"] @ (x - self.terms["x_law"])
         return tuple(
             Yield(measure.task, give[measure.rows].copy(), measure.unit)
             for measure in self.tick.gives

@@ -8,10 +8,6 @@ import numpy as np
 
 from qpctrl.arrays import Array
 
-ALIGNMENT = 64
-"""Bytes. Vectorised solvers sum in an order that depends on the alignment of their data: without
-a fixed one, equal runs differ in the last bits."""
-
 
 class Evaluator:
     """A function with fixed buffers: write the inputs, call, read the outputs.
@@ -42,10 +38,7 @@ class Evaluator:
 
 def _zeros(shape: tuple[int, int]) -> Array:
     rows, cols = shape
-    room = np.zeros(rows * cols + ALIGNMENT // 8)
-    start = -room.ctypes.data % ALIGNMENT // 8
-    flat = room[start : start + rows * cols]
-    return flat if cols == 1 else flat.reshape((rows, cols), order="F")
+    return np.zeros(rows) if cols == 1 else np.zeros((rows, cols), order="F")
 
 
 def _flat(array: Array) -> Any:

@@ -1,6 +1,6 @@
 """What a tick says about itself: how its torque relates to the closed forms, and why."""
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -8,8 +8,7 @@ from qpctrl.arrays import Array, Vector
 from qpctrl.status import Status
 
 
-@dataclass(frozen=True, slots=True)
-class ActiveLimit:
+class ActiveLimit(NamedTuple):
     """A row of the QP that binds."""
 
     name: str
@@ -20,8 +19,7 @@ class ActiveLimit:
     the cost [N²/kg] over that of the row."""
 
 
-@dataclass(frozen=True, slots=True)
-class Yield:
+class Yield(NamedTuple):
     """How far one task gave way, against what the closed form would have given it."""
 
     task: str
@@ -30,8 +28,7 @@ class Yield:
     unit: str
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Command:
+class Command(NamedTuple):
     """What to send to the joints."""
 
     tau: Vector
@@ -40,8 +37,7 @@ class Command:
     """Whether this is the fallback torque."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class TickReport:
+class TickReport(NamedTuple):
     """One tick, explained. Gaps are relative: max |Δτ| / max |τ|."""
 
     time: float

@@ -70,8 +70,8 @@ class SpaceTerms:
         J: Jacobian of the space's axes (n×nv).
         J_dot_v: drift (n) [m/s², rad/s²].
         Lambda_inv, Lambda: task-space inertia and its inverse (n×n), damped by ``mu``.
-        pivot_ratios: pivots of the undamped Λ⁻¹ (n) over the frame's mobility in all directions
-            of the same unit; near 0 at a singularity.
+        mobility_left: 1 / Λ_ii (n), the mobility along an axis while the others are held, over
+            the frame's mobility in all directions of the same unit; 0 at a singularity.
     """
 
     def __init__(self, space: TaskSpace, dynamics: Dynamics, M_factor: Factor, mu: SX) -> None:
@@ -83,9 +83,10 @@ class SpaceTerms:
         self.J_dot_v = ca.densify(frame.J_dot_v[index])
         self._M_inv_JT = M_factor.solve(self.J.T)
         mobility = self.J @ self._M_inv_JT
-        self.pivot_ratios = Factor(mobility).pivots / _mobility_of_frame(frame.J, M_factor)[index]
         self.Lambda_inv = mobility + mu * ca.SX.eye(space.n)
         self.Lambda = Factor(self.Lambda_inv).solve(ca.SX.eye(space.n))
+        whole = _mobility_of_frame(frame.J, M_factor)[index]
+        self.mobility_left = 1 / (ca.diag(self.Lambda) * whole)
 
     def eta(self, h: SX) -> SX:
         """Return η (n) [N, Nm] of the bias ``h`` (nv)."""

@@ -77,7 +77,7 @@ def build_tick(robot: Robot, mode: Mode, form: str = "reduced") -> Tick:
         **_law_outputs(law, form, qp.H.shape[0], robot.nv),
         "G": G,
         "memory": model.memory_after(),
-        "space_pivots": _stack(terms.pivot_ratios for terms in model.spaces.values()),
+        "mobility_left": _stack(terms.mobility_left for terms in model.spaces.values()),
         "row_pivots": _stack(split.pivot_ratios for split in splits),
         "signals": _stack(ca.vec(ca.densify(value)) for value in signals.values()),
     }

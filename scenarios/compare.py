@@ -88,7 +88,9 @@ class Row:
         where = f"{self.robot} k={self.k}"
         return (
             Criterion(f"{where} QP = hybrid", self.law_gap, EQUALITY, "× max |τ|"),
-            Criterion(f"{where} QP − textbook = curvature", self.curvature_gap, EQUALITY, "× max |τ|"),
+            Criterion(
+                f"{where} QP − textbook = curvature", self.curvature_gap, EQUALITY, "× max |τ|"
+            ),
             Criterion(f"{where} KKT", self.kkt, KKT_TOLERANCE, ""),
             Criterion(f"{where} torque beyond limit", self.overshoot, OVERSHOOT, "Nm"),
             Criterion(f"{where} two solvers", self.solver_gap, AGREEMENT, "× max |τ|"),
@@ -187,7 +189,8 @@ class _Comparison:
         engine.load(q, v, {}, Memory("compare", x, np.zeros(self._robot.nu), 0.0, q, v))
         report = engine.solve(0.0)
         if report.status is not Status.OK:
-            self._unsolved += 1
+            self._damped += report.damping > 0
+            self._unsolved += report.damping == 0
             return None
         return report
 

@@ -149,4 +149,3 @@ class Eraser:
             board = FaceOnPlane(space=SPACE, R_WE=world.X_WE.rotation, name="board")
             return RigidPlant(world.robot, board, dt=DT)
         return MujocoPlant(world, force_noise=self.force_noise, seed=seed)
-

@@ -27,7 +27,7 @@ def wiping_metrics(table: pl.DataFrame, force: float) -> dict[str, float]:
         "position_rmse_mm": 1e3 * _rms(np.linalg.norm(pose[:, :2], axis=1)),
         "orientation_rmse_deg": float(np.degrees(_rms(np.linalg.norm(pose[:, 3:], axis=1)))),
         "tilt_max_deg": float(np.degrees(np.linalg.norm(pose[:, 3:5], axis=1).max())),
-        "contact_loss_fraction": float((~wipe["touching"]).mean() or 0.0),
+        "contact_loss_fraction": _share(~wipe["touching"]),
         **tick_metrics(wipe),
         **whole_run_metrics(table),
     }
@@ -41,7 +41,7 @@ def tick_metrics(table: pl.DataFrame) -> dict[str, float]:
         "qp_textbook_gap_max": _largest(free, "textbook_gap"),
         "curvature_term_max": _largest(free, "curvature"),
         "kkt_residual_max": _largest(table, "kkt_residual"),
-        "saturated_fraction": float(table["saturated"].mean() or 0.0),
+        "saturated_fraction": _share(table["saturated"]),
         "fallback_ticks": float(fallback_count(table)),
     }
 
@@ -67,6 +67,10 @@ _NAMES = (
 
 def _column(table: pl.DataFrame, name: str) -> Vector:
     return table[name].to_numpy().astype(np.float64)
+
+
+def _share(marks: pl.Series) -> float:
+    return float(marks.to_numpy().mean()) if len(marks) else 0.0
 
 
 def _largest(table: pl.DataFrame, name: str) -> float:

@@ -105,10 +105,11 @@ def _terms(
     fid = robot.frame_id(frame)
     pin.framesForwardKinematics(robot.model, other, q)
     world = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+    J_theirs = pin.computeFrameJacobian(robot.model, other, q, fid, world)
     return {
         "M": (M, upper + np.triu(upper, 1).T),
         "h": (data.qfrc_bias.copy(), pin.nonLinearEffects(robot.model, other, q, v)),
-        "J": (J, pin.computeFrameJacobian(robot.model, other, q, fid, world)),
+        "J": (J, J_theirs.reshape(6, robot.nv)),
     }
 
 

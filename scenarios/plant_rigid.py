@@ -72,7 +72,7 @@ class RigidPlant:
         upper = np.triu(pin.crba(model, data, q))
         M = upper + np.triu(upper, 1).T
         h = pin.nonLinearEffects(model, data, q, v).copy()
-        J = pin.computeFrameJacobian(model, data, q, self._frame, local)
+        J = pin.computeFrameJacobian(model, data, q, self._frame, local).reshape(6, -1)
         pin.forwardKinematics(model, data, q, v, np.zeros_like(v))
         drift = pin.getFrameAcceleration(model, data, self._frame, local).vector
         pin.updateFramePlacement(model, data, self._frame)

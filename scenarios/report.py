@@ -1,15 +1,291 @@
-"""The report of a run: one self-contained HTML page."""
+"""The report of a run: one self-contained HTML page, opened by a person."""
 
-from collections.abc import Mapping
-from typing import Any
+import json
+from collections.abc import Mapping, Sequence
+from html import escape
+from typing import Any, NamedTuple
 
 import polars as pl
+from plotly.offline import get_plotlyjs
 
 from qpctrl.arrays import Array
+from qpctrl.status import Status
+from scenarios import report_figure
+from scenarios.report_style import CSS, Figure, number, packed
+
+FEW = 5  # fallback ticks that are listed one by one
+
+LABELS = {
+    "force_rmse_N": ("Force error while wiping, RMS", "N"),
+    "force_bias_N": ("Force bias while wiping", "N"),
+    "force_bias_abs_N": ("Force bias while wiping, magnitude", "N"),
+    "force_peak_N": ("Largest force while wiping", "N"),
+    "touch_peak_ratio": ("Largest force at touch and while pressing", "× set-point"),
+    "position_rmse_mm": ("Position error while wiping, RMS", "mm"),
+    "orientation_rmse_deg": ("Orientation error, RMS", "deg"),
+    "tilt_max_deg": ("Largest tilt of the pad while wiping", "deg"),
+    "contact_loss_fraction": ("Time without contact while wiping", "%"),
+    "qp_law_gap_max": ("QP against hybrid law, largest gap", "× max |τ|"),
+    "qp_textbook_gap_max": ("QP against textbook law, largest gap", "× max |τ|"),
+    "curvature_term_max": ("Curvature term, largest", "× max |τ|"),
+    "kkt_residual_max": ("KKT residual of the QP, largest", ""),
+    "saturated_fraction": ("Ticks at a limit while wiping", "%"),
+    "fallback_ticks": ("Fallback ticks while wiping", "ticks"),
+    "fallback_ticks_total": ("Fallback ticks in the whole run", "ticks"),
+    "tick_us_median": ("Tick time, median", "µs"),
+    "tick_us_p99": ("Tick time, 99th percentile", "µs"),
+    "tick_us_p999": ("Tick time, 99.9th percentile", "µs"),
+    "duration_s": ("Simulated time", "s"),
+    "realtime_factor": ("Speed of the run", "× real time"),
+}
+"""Words and unit of each metric."""
+
+KEY_METRICS = (
+    *("force_peak_N", "orientation_rmse_deg", "qp_textbook_gap_max", "saturated_fraction"),
+    *("tick_us_median", "tick_us_p99", "realtime_factor", "duration_s"),
+)
+
+
+def label(name: str) -> str:
+    """Return the words for a metric or parameter; an unknown name loses its underscores."""
+    return LABELS[name][0] if name in LABELS else name.replace("_", " ")
+
+
+def unit(name: str, given: str | None = None) -> str:
+    """Return the unit of a metric: its own, else the one ``given``, else none."""
+    known = LABELS.get(name, ("", ""))[1]
+    return known if known == "%" or given is None else given
+
+
+def quantity(name: str, value: Any, given: str | None = None) -> tuple[str, str]:
+    """Return a metric as number and unit; fractions become per cent."""
+    sign = unit(name, given if given is not None else LABELS.get(name, ("", ""))[1])
+    if sign == "%" and isinstance(value, int | float):
+        value = 100 * value
+    return number(value), sign
+
+
+def _rows(table: Mapping[str, Any]) -> str:
+    """Return the body rows of a table of names and values."""
+    return "".join(
+        f"<tr><td>{escape(str(key))}</td><td>{escape(_plain(value))}</td></tr>"
+        for key, value in table.items()
+    )
+
+
+def _list_of(items: Sequence[str]) -> str:
+    """Return an HTML list of texts, escaped."""
+    return "<ul>" + "".join(f"<li>{escape(item)}</li>" for item in items) + "</ul>"
+
+
+def _plain(value: Any) -> str:
+    if value is None:
+        return "–"
+    return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
+
+
+class Panel(NamedTuple):
+    """A figure with its words."""
+
+    key: str
+    title: str
+    caption: str
+    figure: Figure | None
 
 
 def render_report(
     summary: Mapping[str, Any], table: pl.DataFrame, geometry: Mapping[str, Array]
 ) -> str:
-    """Return the page."""
-    return f"<html><body><pre>{summary}</pre></body></html>"
+    """Return the page; it needs no network and no other file.
+
+    Args:
+        summary: what summary.json holds; a metric may be null.
+        table: the record, one row a tick; a column may be missing.
+        geometry: ``X_WE``, pose (4×4) of the board, and ``loops`` (samples×2) [m], the path on it.
+    """
+    panels = _panels(summary, table, geometry)
+    figures = {panel.key: panel.figure for panel in panels if panel.figure}
+    data = json.dumps(figures, default=packed, ensure_ascii=False).replace("<", "\\u003c")
+    body = (
+        _header(summary),
+        _notes(summary, table),
+        _criteria(summary["criteria"]),
+        _tiles(summary["metrics"]),
+        _sections([panel for panel in panels if panel.figure]),
+        _details(summary),
+    )
+    title = f"{summary['scenario']} – {_verdict(summary)}"
+    return (
+        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f"<title>{escape(title)}</title><style>{CSS}</style></head>\n<body><main>\n"
+        + "\n".join(body)
+        + f"\n</main>\n<script>{get_plotlyjs()}</script>\n<script>\nconst figures = {data};\n"
+        f"{_DRAW}</script>\n</body></html>\n"
+    )
+
+
+_DRAW = """for (const [key, figure] of Object.entries(figures))
+  Plotly.newPlot(key, figure.data, figure.layout, {responsive: true,
+    displaylogo: false, showSendToCloud: false, plotlyServerURL: ""});
+"""
+
+
+def _panels(
+    summary: Mapping[str, Any], table: pl.DataFrame, geometry: Mapping[str, Array]
+) -> list[Panel]:
+    limits = {c["name"]: c["limit"] for c in summary["criteria"] if c["limit"] is not None}
+    draw = report_figure
+    return [
+        Panel(
+            "path",
+            "Path on the board",
+            "As you see it when you face the board. Lighter: where the 120 × 50 mm pad passed.",
+            draw.path_figure(table, geometry),
+        ),
+        Panel(
+            "error",
+            "Position error and tilt",
+            "Desired − actual, in the plane of the board. The range is that of wiping.",
+            draw.error_figure(table, limits),
+        ),
+        Panel(
+            "force",
+            "Force on the board",
+            "Measured by the sensor in the wrist, robot on board. Below: measured − set-point.",
+            draw.force_figure(table, limits),
+        ),
+        Panel("torque", "Joint torque", draw.torque_words(table), draw.torque_figure(table)),
+        Panel(
+            "equality", "QP and closed form", draw.equal_words(table), draw.equality_figure(table)
+        ),
+        Panel("timing", "Tick time", draw.timing_words(table), draw.timing_figure(table)),
+    ]
+
+
+def _header(summary: Mapping[str, Any]) -> str:
+    criteria, passed = summary["criteria"], summary["passed"]
+    held = sum(bool(c["passed"]) for c in criteria)
+    mark, css = ("✓", "passed") if passed else ("✗", "failed")
+    return (
+        '<header><div><div class="kicker">qpctrl · report of a run</div>'
+        f"<h1>{escape(str(summary['scenario']))}</h1>"
+        f"<p>{escape(_what_ran(summary['config']))}</p></div>"
+        f'<div class="verdict {css}"><strong>{mark} {_verdict(summary)}</strong>'
+        f"<span>{held} of {len(criteria)} criteria hold</span></div></header>"
+    )
+
+
+def _verdict(summary: Mapping[str, Any]) -> str:
+    return "PASSED" if summary["passed"] else "FAILED"
+
+
+def _what_ran(config: Mapping[str, Any]) -> str:
+    """Return one line on what ran, of the parameters that the scenario has."""
+    law = f"sends the torque of the {'QP' if config.get('law') == 'qp' else config.get('law')}"
+    solver = f"{config.get('form')} QP solved by {config.get('solver')}"
+    words = {
+        "robot": "robot {}",
+        "plant": "{} plant",
+        "force": "{} N on the surface",
+        "speed": "{} m/s",
+        "duration": "{} s",
+        "friction": "friction {}",
+        "force_noise": "force noise {} N",
+    }
+    said = [
+        form.format(number(config[name]))
+        for name, form in words.items()
+        if config.get(name) is not None and (name != "force_noise" or config[name])
+    ]
+    return " · ".join([*said, law, solver])
+
+
+def _criteria(criteria: Sequence[Mapping[str, Any]]) -> str:
+    lines = []
+    for c in criteria:
+        name, passed = str(c["name"]), c["passed"]
+        value, sign = quantity(name, c["value"], c["unit"])
+        limit, _ = quantity(name, c["limit"], c["unit"])
+        verdict = '<td class="good">✓ holds</td>' if passed else '<td class="bad">✗ missed</td>'
+        lines.append(
+            f"<tr><td>{escape(label(name))}<br><code>{escape(name)}</code></td>"
+            f'<td class="n">{escape(value)}</td><td class="n">≤ {escape(limit)}</td>'
+            f"<td>{escape(sign)}</td>{verdict}</tr>"
+        )
+    return (
+        '<section><h2>Criteria</h2><table><thead><tr><th>what</th><th class="n">value</th>'
+        '<th class="n">limit</th><th>unit</th><th>verdict</th></tr></thead>'
+        f"<tbody>{''.join(lines)}</tbody></table></section>"
+    )
+
+
+def _tiles(metrics: Mapping[str, Any]) -> str:
+    tiles = []
+    for name in KEY_METRICS:
+        if name in metrics:
+            value, sign = quantity(name, metrics[name])
+            shown = f"<b>{value} <small>{sign}</small></b><span>{label(name)}</span>"
+            tiles.append(f'<div class="tile">{shown}</div>')
+    return f'<div class="tiles">{"".join(tiles)}</div>'
+
+
+def _notes(summary: Mapping[str, Any], table: pl.DataFrame) -> str:
+    """Return what went wrong: a sentence for each missed criterion, and the fallback ticks."""
+    said = [_missed(c, table) for c in summary["criteria"] if not c["passed"]]
+    said += _fallbacks(table)
+    if not said:
+        return ""
+    return f'<section class="notes"><h2>What went wrong</h2>{_list_of(said)}</section>'
+
+
+def _missed(c: Mapping[str, Any], table: pl.DataFrame) -> str:
+    name = str(c["name"])
+    value, sign = quantity(name, c["value"], c["unit"])
+    limit, _ = quantity(name, c["limit"], c["unit"])
+    if c["value"] is None:
+        phases = ", ".join(table["phase"].unique(maintain_order=True)) or "none"
+        return f"{label(name)}: no value; the run's phases were: {phases}."
+    times = f", {number(c['value'] / c['limit'], 2)} times as much" if c["limit"] else ""
+    return f"{label(name)}: {value} {sign}, the limit is {limit} {sign}{times}.".replace(" ,", ",")
+
+
+def _fallbacks(table: pl.DataFrame) -> list[str]:
+    """Return the stretches of ticks that sent the fallback torque, the first few."""
+    runs = table.with_columns(run=pl.struct("status", "phase").rle_id()).filter(
+        pl.col("status") != Status.OK.name
+    )
+    if runs.is_empty():
+        return []
+    said = [f"{len(runs)} of {len(table)} ticks sent the fallback torque. When it began:"]
+    for _, run in list(runs.group_by("run", maintain_order=True))[:FEW]:
+        name, phase = run["status"][0], run["phase"][0]
+        first, last = run["time"][0], run["time"][-1]
+        advice = Status[name].value if name in Status.__members__ else "unknown status"
+        said.append(
+            f"{first:.3f} s to {last:.3f} s (ticks: {len(run)}, {phase}): {name} – {advice}"
+        )
+    return said
+
+
+def _sections(panels: Sequence[Panel]) -> str:
+    """Return the figures, the first two side by side."""
+    sections = [
+        f'<section><h2>{panel.title}</h2><p class="caption">{escape(panel.caption)}</p>'
+        f'<div id="{panel.key}" role="img" aria-label="{panel.title}"></div></section>'
+        for panel in panels
+    ]
+    if not sections:
+        return "<section><p>Nothing was recorded.</p></section>"
+    if [panel.key for panel in panels[:2]] == ["path", "error"]:
+        sections[:2] = [f'<div class="pair">{sections[0]}{sections[1]}</div>']
+    return "\n".join(sections)
+
+
+def _details(summary: Mapping[str, Any]) -> str:
+    parts = {"Configuration": "config", "Metrics": "metrics", "Versions": "versions"}
+    tables = "".join(
+        f"<h3>{title}</h3><table><tbody>{_rows(summary[key])}</tbody></table>"
+        for title, key in parts.items()
+    )
+    return f"<details><summary>Configuration, all metrics, versions</summary>{tables}</details>"

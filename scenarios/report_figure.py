@@ -1,80 +1,27 @@
-"""The figures of the report, as data for plotly.js: plain dictionaries, built in milliseconds.
+"""The figures of the report. Each is none where the record has nothing to show."""
 
-Long series are thinned before they are drawn: the smallest and the largest value of each
-bucket stay, so a peak of a single tick is still there.
-"""
-
-from base64 import b64encode
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from html import escape
 from itertools import cycle
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 import polars as pl
-from jaxtyping import Bool, Int
+from jaxtyping import Bool
 
 from qpctrl.arrays import Array, Matrix, Vector
+from qpctrl.status import Status
 from scenarios import report_style as style
+from scenarios.report_style import Figure, column, line, trace
 
-Figure: TypeAlias = dict[str, Any]
-"""``data`` and ``layout`` of plotly.js."""
-Indices: TypeAlias = Int[np.ndarray, " _"]
 Flags: TypeAlias = Bool[np.ndarray, " _"]
 
-BUCKETS = 1200  # of a line, two points each: more than a screen has columns
-CONTACT = ("press", "wipe", "release")
 PAD = (0.120, 0.050)  # m, the eraser along x and y of E
-HALVES = ([0.47, 1.0], [0.0, 0.37])  # of a figure with two panels
-FLOOR = 1e-18  # drawn instead of an exact zero on a logarithmic axis
+SWEEP_STEP = 0.002  # m, between two outlines of the eraser
+FLOOR = 1e-18  # drawn instead of what is smaller, on a logarithmic axis
+SLIGHT = 0.01  # N, below it a force is drawn as none
+LAW_LIMIT, KKT_LIMIT = 1e-8, 1e-9
 MAX_MARKS = 400
-MAX_SHADES = 80
-
-
-class Span(NamedTuple):
-    """A stretch of time spent in one phase."""
-
-    phase: str
-    start: float
-    """Start [s]."""
-    end: float
-    """End [s]."""
-
-
-def column(table: pl.DataFrame, name: str) -> Vector:
-    """Return a column as numbers; NaN where there is none or it is not finite."""
-    if name not in table.columns:
-        return np.full(len(table), np.nan)
-    values = table[name].cast(pl.Float64).fill_null(np.nan).to_numpy()
-    return np.where(np.isfinite(values), values, np.nan)
-
-
-def thin(y: Vector, buckets: int = BUCKETS) -> Indices:
-    """Return indices, rising, that keep the extremes of each bucket of ``y`` and both ends."""
-    n = len(y)
-    if n <= 2 * buckets:
-        return np.arange(n)
-    width = -(-n // buckets)
-    padded = np.full(width * -(-n // width), np.nan)
-    padded[:n] = y
-    blocks = padded.reshape(-1, width)
-    lowest = np.where(np.isnan(blocks), np.inf, blocks).argmin(1)
-    highest = np.where(np.isnan(blocks), -np.inf, blocks).argmax(1)
-    first = np.arange(len(blocks)) * width
-    return np.unique(np.r_[0, first + lowest, first + highest, n - 1])
-
-
-def spans(table: pl.DataFrame) -> list[Span]:
-    """Return the stretches of each phase, in the order of time."""
-    if table.is_empty() or "phase" not in table.columns:
-        return []
-    time, phase = column(table, "time"), table["phase"].to_numpy()
-    starts = np.r_[0, np.flatnonzero(phase[1:] != phase[:-1]) + 1]
-    ends = np.r_[starts[1:], len(phase) - 1]
-    return [
-        Span(str(phase[i]), float(time[i]), float(time[j]))
-        for i, j in zip(starts, ends, strict=True)
-    ]
 
 
 def path_figure(table: pl.DataFrame, geometry: Mapping[str, Array]) -> Figure | None:
@@ -82,40 +29,36 @@ def path_figure(table: pl.DataFrame, geometry: Mapping[str, Array]) -> Figure | 
 
     y of E points right and x of E up, since z of E points into the board.
     """
-    if "X_WE" not in geometry:
+    if "X_WE" not in geometry or table.is_empty():
         return None
-    p_E = _path_on_board(table, geometry["X_WE"])
-    loops = geometry.get("loops", np.zeros((0, 2)))
+    p_E = 1e3 * _path_on_board(table, geometry["X_WE"])
+    loops = 1e3 * geometry.get("loops", np.zeros((0, 2)))
+    loops = loops[:: max(1, len(loops) // (2 * style.BUCKETS))]
     touched = p_E[~np.isnan(p_E[:, 0])]
     shown = loops if len(loops) else touched
     if not len(shown):
         return None
-    at = np.union1d(thin(p_E[:, 0]), thin(p_E[:, 1]))
-    loop_at = np.arange(0, len(loops), max(1, len(loops) // (2 * BUCKETS)))
-    chalk: dict[str, Any] = {"color": style.CHALK, "width": 4}
-    dashes: dict[str, Any] = {"color": style.MARK, "width": 1.6, "dash": "6px,5px"}
-    ends = touched[[0, -1]] if len(touched) else touched
+    actual = p_E[np.union1d(style.thin(p_E[:, 0]), style.thin(p_E[:, 1]))]
+    chalk = {"color": style.CHALK, "width": 4}
+    dashes = {"color": style.MARK, "width": 1.6, "dash": "6px,5px"}
+    hover = "x %{y:.1f} mm, y %{x:.1f} mm<extra>%{fullData.name}</extra>"
     traces = [
         _swept(touched),
-        _trace(p_E[at, 1] * 1e3, p_E[at, 0] * 1e3, "actual path", line=chalk),
-        _trace(loops[loop_at, 1] * 1e3, loops[loop_at, 0] * 1e3, "reference", line=dashes),
-        _trace(ends[:1, 1] * 1e3, ends[:1, 0] * 1e3, "first touch", mode="markers")
-        | {"marker": {"color": style.MARK, "size": 11, "symbol": "circle"}},
-        _trace(ends[1:, 1] * 1e3, ends[1:, 0] * 1e3, "last contact", mode="markers")
-        | {"marker": {"color": style.MARK, "size": 11, "symbol": "square"}},
+        trace(actual[:, 1], actual[:, 0], "actual path", line=chalk, hovertemplate=hover),
+        trace(loops[:, 1], loops[:, 0], "reference", line=dashes, hovertemplate=hover),
     ]
-    for trace in traces[1:]:
-        trace["hovertemplate"] = "x %{y:.1f} mm, y %{x:.1f} mm<extra>%{fullData.name}</extra>"
-    low, high = shown.min(0), shown.max(0)
-    margin = np.array(PAD) / 2 + 0.012
-    figure = _figure([t for t in traces if t["x"]], "y of the board [mm]", height=500)
-    x_range, y_range = zip(1e3 * (low - margin), 1e3 * (high + margin), strict=True)
-    on_board = {"gridcolor": "#35584c", "zeroline": False}
-    figure["layout"] |= {
-        "plot_bgcolor": style.BOARD,
-        "xaxis": _axis("y of the board [mm]", range=list(y_range), **on_board),
-        "yaxis": _axis("x of the board [mm]", range=list(x_range), scaleanchor="x", **on_board),
-    }
+    for name, at, symbol in (("first touch", touched[:1], "circle"), ("end", touched[-1:], "x")):
+        look = {"color": style.MARK, "size": 11, "symbol": symbol}
+        dot = trace(at[:, 1], at[:, 0], name, mode="markers", marker=look, hovertemplate=hover)
+        traces.append(dot)
+    margin = 500 * np.array(PAD) + 12
+    low, high = shown.min(0) - margin, shown.max(0) + margin
+    grid: dict[str, Any] = {"gridcolor": "#31554a", "zerolinecolor": "#31554a"}
+    figure = style.figure(traces, "", "", height=500)
+    figure["layout"] |= {"plot_bgcolor": style.BOARD, "hovermode": "closest"}
+    x_axis = style.axis("y on the board [mm]", range=[low[1], high[1]], **grid)
+    y_axis = style.axis("x on the board [mm]", range=[low[0], high[0]], scaleanchor="x", **grid)
+    figure["layout"] |= {"xaxis": x_axis, "yaxis": y_axis}
     return figure
 
 
@@ -125,95 +68,91 @@ def force_figure(table: pl.DataFrame, limits: Mapping[str, float]) -> Figure | N
     wanted = column(table, "force.F_des.2")
     if np.isnan(pressed).all():
         return None
-    mark = {"color": style.INK, "width": 1.6, "dash": "5px,4px"}
+    along = [column(table, f"wrench_meas.{name}") for name in ("fx", "fy")]
     traces = [
-        _line(time, pressed, "normal force, measured", style.SERIES[0], width=1.8),
-        _line(time, wanted, "set-point", style.INK) | {"line": mark},
-        _line(time, column(table, "wrench_meas.fx"), "tangential, x", style.SERIES[1], width=0.8),
-        _line(time, column(table, "wrench_meas.fy"), "tangential, y", style.SERIES[2], width=0.8),
+        line(time, along[0], "tangential, x", style.SERIES[1], "N", width=0.8),
+        line(time, along[1], "tangential, y", style.SERIES[2], "N", width=0.8),
+        line(time, pressed, "normal, measured", style.SERIES[0], "N", width=1.8),
+        line(time, wanted, "normal, set-point", style.INK, "N", width=1.4, dash="5px,4px"),
     ]
+    figure = style.figure(traces, "time [s]", "force [N]", height=480)
+    if np.nanmax(np.abs(np.stack([pressed, *along])), initial=0.0) < SLIGHT:
+        figure["layout"]["yaxis"]["range"] = [-1.0, 1.0]
     error = np.where(_focus(table), pressed - wanted, np.nan)
-    figure = _figure(traces, "time [s]", "force [N]")
     if not np.isnan(error).all():
-        below = _line(time, error, "error of the normal force", style.SERIES[3], yaxis="y2")
-        _add_panel(figure, [below], "error [N]", _symmetric(error))
-        _limit_lines(figure, limits.get("force_rmse_N"), "± limit of RMS", "y2", both=True)
-    return _shaded(_with_hover(figure, "N"), spans(table))
+        below = line(time, error, "error of the normal force", style.SERIES[3], "N", width=1.0)
+        style.add_panel(figure, below, "error [N]", style.symmetric(error))
+        if limit := limits.get("force_rmse_N"):
+            style.add_limit(figure, limit, "± limit of its RMS", "y2")
+            style.add_limit(figure, -limit, "", "y2")
+    return style.shade(figure, style.spans(table))
 
 
 def error_figure(table: pl.DataFrame, limits: Mapping[str, float]) -> Figure | None:
     """Return the position error in the plane of the board, and the tilt [deg], over time."""
     time = column(table, "time")
-    e = np.stack([column(table, f"motion.X_e.{i}") for i in (0, 1, 3, 4)])
-    if np.isnan(e).all():
+    e_x, e_y, tilt_x, tilt_y = (column(table, f"motion.X_e.{i}") for i in (0, 1, 3, 4))
+    if np.isnan(e_x).all():
         return None
     focus = _focus(table)
-    small = not (np.abs(e[:2, focus]) > 1e-3).any()
-    scale, unit = (1e6, "µm") if small else (1e3, "mm")
+    worst = np.nanmax(np.abs(np.r_[e_x[focus], e_y[focus]]), initial=0.0)
+    scale, unit = (1e6, "µm") if worst < 1e-3 else (1e3, "mm")
     traces = [
-        _line(time, scale * e[0], "along x", style.SERIES[0]),
-        _line(time, scale * e[1], "along y", style.SERIES[1]),
+        line(time, scale * e_x, "error along x", style.SERIES[0], unit),
+        line(time, scale * e_y, "error along y", style.SERIES[1], unit),
     ]
-    figure = _figure(traces, "time [s]", f"position error [{unit}]", height=500)
-    figure["layout"]["yaxis"]["range"] = _symmetric(scale * e[:2, focus])
-    tilt = np.degrees(np.hypot(e[2], e[3]))
-    _with_hover(figure, unit)
-    _add_panel(figure, [_line(time, tilt, "tilt [deg]", style.SERIES[4], yaxis="y2")], "tilt [deg]")
-    figure["data"][-1]["hovertemplate"] = "%{y:.4g} deg"
-    limit = limits.get("tilt_max_deg")
-    top = max([1.3 * x for x in (limit, np.nanmax(tilt[focus], initial=0)) if x], default=None)
-    if top is not None:
-        figure["layout"]["yaxis2"]["range"] = [0, top]
-    _limit_lines(figure, limit, "limit", "y2")
-    return _shaded(figure, spans(table), width=440)
+    figure = style.figure(traces, "time [s]", f"position error [{unit}]", height=500)
+    figure["layout"]["yaxis"]["range"] = style.symmetric(scale * np.r_[e_x[focus], e_y[focus]])
+    tilt, limit = np.degrees(np.hypot(tilt_x, tilt_y)), limits.get("tilt_max_deg")
+    top = max(1.3 * (limit or 0.0), 1.15 * np.nanmax(tilt[focus], initial=0.0))
+    below = line(time, tilt, "tilt", style.SERIES[4], "deg")
+    style.add_panel(figure, below, "tilt [deg]", [0.0, top] if top > 0 else None)
+    if limit:
+        style.add_limit(figure, limit, "limit", "y2")
+    return style.shade(figure, style.spans(table), pixels=420)
 
 
 def torque_figure(table: pl.DataFrame) -> Figure | None:
     """Return the torque of each joint over time [Nm], with the ticks at which a limit binds."""
     time, traces = column(table, "time"), []
     names = [name.removeprefix("tau.") for name in table.columns if name.startswith("tau.")]
-    for name, colour in zip(names, cycle(style.SERIES)):  # noqa: B905 - the colours are endless
-        sent, got = column(table, f"tau.{name}"), column(table, f"tau_delivered.{name}")
-        traces.append(_line(time, sent, name, colour))
-        if np.nanmax(np.abs(got - sent), initial=0.0) > 1e-9 * np.nanmax(np.abs(sent), initial=1.0):
-            delivered = _line(time, got, f"{name}, delivered", colour)
-            delivered["line"]["dash"] = "4px,3px"
-            traces.append(delivered)
-    if not traces:
+    sent = {name: column(table, f"tau.{name}") for name in names}
+    for (name, tau), colour in zip(sent.items(), cycle(style.SERIES), strict=False):
+        traces.append(line(time, tau, name, colour, "Nm"))
+        delivered = column(table, f"tau_delivered.{name}")
+        if _differs(delivered, tau):
+            dashed = line(time, delivered, f"{name}, delivered", colour, "Nm", dash="4px,3px")
+            traces.append(dashed)
+    if table.is_empty() or not traces:
         return None
-    _with_hover({"data": traces}, "Nm")
-    torques = {name: column(table, f"tau.{name}") for name in names}
-    traces += list(_binding_marks(table, torques))
-    return _shaded(_figure(traces, "time [s]", "torque [Nm]", height=440), spans(table))
+    traces.append(_binding_marks(table, sent))
+    figure = style.figure(traces, "time [s]", "torque [Nm]", height=440)
+    return style.shade(figure, style.spans(table))
 
 
 def equality_figure(table: pl.DataFrame) -> Figure | None:
     """Return how the QP relates to both laws over time, relative, on a logarithmic axis."""
-    shown = {
-        "textbook_gap": ("QP − textbook law", style.SERIES[1], "solid", 4.5),
-        "curvature": ("curvature term", style.INK, "5px,4px", 1.4),
-        "unexplained_gap": ("QP − textbook law, less curvature", style.SERIES[3], "solid", 1.4),
-        "law_gap": ("QP − hybrid law", style.SERIES[0], "solid", 1.4),
-        "kkt_residual": ("KKT residual", style.SERIES[2], "solid", 1.4),
+    look: dict[str, tuple[str, dict[str, Any]]] = {
+        "textbook_gap": ("QP − textbook law", {"color": "#f2b27a", "width": 6}),
+        "curvature": ("curvature term", {"color": style.INK, "width": 1.4, "dash": "5px,4px"}),
+        "unexplained_gap": ("their difference", {"color": "#e7a9cc", "width": 5}),
+        "law_gap": ("QP − hybrid law", {"color": style.SERIES[0], "width": 1.8}),
+        "kkt_residual": ("KKT residual of the QP", {"color": style.SERIES[2], "width": 1.4}),
     }
     time, traces = column(table, "time"), []
-    for name, (words, colour, dash, width) in shown.items():
-        values = column(table, name)
-        if np.isnan(values).all():
-            continue
-        t, peak = _envelope(time, values)
-        peak = np.where(peak <= 0, np.nan if name == "curvature" else FLOOR, peak)
-        line = {"color": colour, "width": width, "dash": dash}
-        traces.append(_trace(t, peak, words, line=line) | {"hovertemplate": "%{y:.1e}"})
-    if not traces:
+    for name, (words, drawn) in look.items():
+        t, peak = style.envelope(time, np.where(_solved(table), column(table, name), np.nan))
+        low = np.nan if name == "curvature" else FLOOR
+        peak = np.where(peak < FLOOR, low, peak)
+        traces.append(trace(t, peak, words, line=drawn, hovertemplate="%{y:.1e}"))
+    traces.append(_binding_marks(table, {"": np.maximum(column(table, "law_gap"), FLOOR)}))
+    figure = style.figure(traces, "time [s]", "relative to max |τ|", height=480)
+    if not figure["data"]:
         return None
-    gap = np.maximum(column(table, "law_gap"), FLOOR)
-    traces += list(_binding_marks(table, {"": gap}))
-    figure = _figure(traces, "time [s]", "relative to max |τ|", height=460)
-    figure["layout"]["yaxis"] |= {"type": "log", "exponentformat": "power", "dtick": 3}
-    _limit_lines(figure, 1e-8, "10⁻⁸ limit of QP − hybrid law", "y")
-    _limit_lines(figure, 1e-9, "10⁻⁹ limit of the KKT residual", "y", below=True)
-    return _shaded(figure, spans(table))
+    figure["layout"]["yaxis"] |= {"type": "log", "exponentformat": "power", "dtick": 2}
+    style.add_limit(figure, LAW_LIMIT, "limit of QP − hybrid law: 10⁻⁸")
+    style.add_limit(figure, KKT_LIMIT, "limit of the KKT residual: 10⁻⁹", anchor="bottom")
+    return style.shade(figure, style.spans(table))
 
 
 def timing_figure(table: pl.DataFrame) -> Figure | None:
@@ -223,19 +162,133 @@ def timing_figure(table: pl.DataFrame) -> Figure | None:
     if not len(taken):
         return None
     edges = np.geomspace(0.98 * taken.min(), 1.02 * taken.max(), 71)
-    counts, _ = np.histogram(taken, edges)
-    bars = {
-        "type": "bar",
-        "x": _numbers(np.sqrt(edges[1:] * edges[:-1])),
-        "y": _numbers(counts),
-        "width": _numbers(np.diff(edges)),
-        "marker": {"color": style.SERIES[0], "line": {"width": 0}},
-        "hovertemplate": "%{x:.0f} µs: %{y} ticks<extra></extra>",
-    }
-    figure = _figure([bars], "time of one tick [µs]", "ticks", height=340)
+    counts = np.histogram(taken, edges)[0].astype(np.float64)
+    bars = trace(np.sqrt(edges[1:] * edges[:-1]), counts, "ticks", type="bar", width=np.diff(edges))
+    del bars["mode"]
+    bars |= {"marker": {"color": style.SERIES[0]}, "hovertemplate": "%{x:.0f} µs: %{y} ticks"}
+    figure = style.figure([bars], "time of one tick [µs]", "ticks", height=320)
     figure["layout"] |= {"bargap": 0, "showlegend": False, "hovermode": "closest"}
-    figure["layout"]["xaxis"] |= {"type": "log", "dtick": "D2", "hoverformat": ".0f"}
-    marks = {"median": np.median(taken), "p99": np.quantile(taken, 0.99)}
-    for words, value in marks.items():
-        _vertical(figure, float(value), f"{words} {style.number(float(value))} µs")
+    figure["layout"]["margin"] |= {"b": 48, "t": 84}
+    low, high = np.log10(edges[0]), np.log10(max(edges[-1], 1.1 * _period(table)))
+    ticks = [m * 10**k for k in range(8) for m in (1, 2, 3, 5)]
+    labels = {"tickvals": ticks, "ticktext": [f"{t}" for t in ticks]}
+    figure["layout"]["xaxis"] |= {"type": "log", "range": [float(low), float(high)], **labels}
+    marks = {"median": np.median(taken), "99th percentile": np.quantile(taken, 0.99)}
+    for row, (words, x) in enumerate((marks | {"control period": _period(table)}).items()):
+        span = {"type": "line", "x0": x, "x1": x, "yref": "paper", "y0": 0, "y1": 1}
+        look = {"color": style.INK, "width": 1.2, "dash": "dash"}
+        figure["layout"]["shapes"].append(span | {"line": look})
+        side = "left" if np.log10(x) < 0.2 * low + 0.8 * high else "right"
+        at = {"x": np.log10(x), "yref": "paper", "y": 1, "xanchor": side, "yanchor": "bottom"}
+        note = {"text": f"{words} {x:.0f} µs", "showarrow": False, "yshift": 15 * row}
+        figure["layout"]["annotations"].append(at | note)
     return figure
+
+
+def torque_words(table: pl.DataFrame) -> str:
+    """Return how often a limit binds."""
+    bound = int((table["active"] != "").sum()) if "active" in table.columns else 0
+    if not bound:
+        return "Torque sent to each joint. No limit bound on any tick."
+    return (
+        f"Torque sent to each joint. A limit bound on {bound} of {style.number(len(table))} ticks "
+        "(red marks; hover to see which)."
+    )
+
+
+def equal_words(table: pl.DataFrame) -> str:
+    """Return what the reader sees, in numbers of the ticks on which no limit binds."""
+    free = table.filter(_solved(table))
+    if "saturated" in table.columns:
+        free = free.filter(~pl.col("saturated"))
+    if "damping" in table.columns:
+        free = free.filter(pl.col("damping") == 0)
+    gap, textbook, rest = (
+        float(np.nanmax(column(free, name), initial=0.0))
+        for name in ("law_gap", "textbook_gap", "unexplained_gap")
+    )
+    if free.is_empty():
+        return "A limit bound, or there was no solution, on every tick: nothing to compare."
+    equal = "one law, to round-off" if gap <= LAW_LIMIT else "not one law to round-off (10⁻⁸)"
+    ticks = f"{style.number(len(free))} of {style.number(len(table))} ticks"
+    return (
+        f"On the {ticks} on which no limit binds, the torque of the QP and that of the closed-form "
+        f"hybrid law differ by at most {style.number(gap)} of max |τ|: they are {equal}. "
+        f"The law as the textbook prints it differs by up to {style.number(textbook)}; its "
+        f"curvature term Jᵀ Aᵀ S⁻¹ Ȧ V, a force error that the QP does not make, explains all of "
+        f"it but {style.number(rest)}. (Each point is the largest of a few neighbouring ticks.)"
+    )
+
+
+def timing_words(table: pl.DataFrame) -> str:
+    """Return how often the controller missed its period."""
+    over = int((column(table, "tick_us") > _period(table)).sum())
+    return (
+        "Time that the controller takes for a tick, by the clock of the machine that ran it. "
+        f"{over} of {style.number(len(table))} ticks took longer than the control period."
+    )
+
+
+def _period(table: pl.DataFrame) -> float:
+    """Return the control period [µs]."""
+    time = column(table, "time")
+    return 1e6 * float(np.median(np.diff(time))) if len(time) > 1 else 1e3
+
+
+def _path_on_board(table: pl.DataFrame, X_WE: Array) -> Matrix:
+    """Return x and y in E [m] of each tick; NaN where the tool does not touch."""
+    p_W = np.stack([column(table, f"motion.X_WF.{i}") for i in (9, 10, 11)], axis=1)
+    p_E = (p_W - X_WE[:3, 3]) @ X_WE[:3, :2]
+    if "touching" in table.columns:
+        p_E[~table["touching"].fill_null(False).to_numpy()] = np.nan
+    return p_E
+
+
+def _swept(p_E: Matrix) -> dict[str, Any]:
+    """Return the area [mm] that the eraser passed over, as one outline for each short step."""
+    travelled = np.cumsum(np.r_[0.0, np.linalg.norm(np.diff(p_E, axis=0), axis=1)])
+    _, at = np.unique((travelled // (1e3 * SWEEP_STEP)).astype(np.int64), return_index=True)
+    steps = p_E[at] if len(p_E) else p_E
+    half = 500 * np.array(PAD)
+    corners = half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [np.nan, np.nan]])
+    outlines = (steps[:, None, :] + corners).reshape(-1, 2)
+    filled = {"fill": "toself", "fillcolor": style.SWEPT, "line": {"width": 0}, "hoverinfo": "skip"}
+    return trace(outlines[:, 1], outlines[:, 0], "wiped area", **filled)
+
+
+def _binding_marks(table: pl.DataFrame, curves: Mapping[str, Vector]) -> dict[str, Any]:
+    """Return marks where a limit binds, on the curve of the joint that the limit names."""
+    if "active" not in table.columns:
+        return trace(np.zeros(0), np.zeros(0), "limit binds")
+    active = table["active"].fill_null("").to_numpy()
+    binding = np.flatnonzero(active != "")
+    binding = binding[:: max(1, -(-len(binding) // MAX_MARKS))]
+    names = [str(active[i]) for i in binding]
+    owners = [next((c for c in curves if name.endswith(c)), next(iter(curves))) for name in names]
+    y = np.array([curves[c][i] for c, i in zip(owners, binding, strict=True)])
+    mark = {"color": style.FAIL, "size": 9, "symbol": "triangle-down"}
+    said = "%{text}<extra>limit binds</extra>"
+    texts = [escape(name) for name in names]
+    shown: dict[str, Any] = {"mode": "markers", "marker": mark, "text": texts}
+    return trace(column(table, "time")[binding], y, "limit binds", hovertemplate=said, **shown)
+
+
+def _solved(table: pl.DataFrame) -> Flags:
+    """Return on which ticks the QP had a solution."""
+    if "status" not in table.columns:
+        return np.ones(len(table), dtype=np.bool_)
+    return (table["status"] == Status.OK.name).to_numpy()
+
+
+def _focus(table: pl.DataFrame) -> Flags:
+    """Return which ticks to look at: wiping, else in contact, else all."""
+    wiping = (table["phase"] == "wipe").to_numpy() if "phase" in table.columns else np.zeros(0)
+    if wiping.any():
+        return np.asarray(wiping, dtype=np.bool_)
+    wanted = ~np.isnan(column(table, "force.F_des.2"))
+    return wanted if wanted.any() else np.ones(len(table), dtype=np.bool_)
+
+
+def _differs(delivered: Vector, sent: Vector) -> bool:
+    largest = np.nanmax(np.abs(sent), initial=1.0)
+    return bool(np.nanmax(np.abs(delivered - sent), initial=0.0) > 1e-9 * largest)

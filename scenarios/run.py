@@ -4,7 +4,6 @@ import dataclasses
 import importlib.metadata
 import json
 import math
-import os
 import platform
 import shutil
 import tempfile
@@ -41,10 +40,27 @@ class Outcome:
 
 
 def run_scenario(
-    scenario: Scenario, options: Options, *, watch: Callable[[float, str], None] | None = None
+    scenario: Scenario,
+    options: Options,
+    *,
+    out: Path | None = None,
+    watch: Callable[[float, str], None] | None = None,
 ) -> Outcome:
-    """Run a scenario and judge it by its own criteria."""
+    """Run a scenario and judge it by its own criteria.
+
+    Args:
+        scenario: what to run.
+        options: how to run it.
+        out: folder for summary.json, ticks.parquet and report.html; none writes nothing.
+        watch: called with simulated time [s] and phase, now and then.
+
+    Raises:
+        InputError: the parameters cannot be used, or the folder cannot be written; nothing
+            has been run or written then.
+    """
     experiment = scenario.prepare(options)
+    if out is not None:
+        writable_folder(out)
     started = time.perf_counter()
     table = simulate(experiment, watch=watch)
     elapsed = time.perf_counter() - started
@@ -61,7 +77,10 @@ def run_scenario(
         "seed": options.seed,
         "versions": versions(),
     }
-    return Outcome(experiment=experiment, table=table, summary=_plain(summary))
+    outcome = Outcome(experiment=experiment, table=table, summary=_plain(summary))
+    if out is not None:
+        write_outcome(outcome, out)
+    return outcome
 
 
 def versions() -> dict[str, str]:
@@ -91,7 +110,6 @@ def write_outcome(outcome: Outcome, folder: Path) -> None:
     Raises:
         InputError: the folder cannot be written.
     """
-    writable_folder(folder)
     try:
         staging = Path(tempfile.mkdtemp(dir=folder, prefix=".writing-"))
         try:
@@ -101,7 +119,7 @@ def write_outcome(outcome: Outcome, folder: Path) -> None:
             html = render_report(outcome.summary, outcome.table, outcome.experiment.geometry)
             (staging / "report.html").write_text(html, encoding="utf-8")
             for file in sorted(staging.iterdir()):
-                os.replace(file, folder / file.name)
+                file.replace(folder / file.name)
         finally:
             shutil.rmtree(staging, ignore_errors=True)
     except OSError as error:

@@ -8,6 +8,7 @@ import polars as pl
 
 from qpctrl.arrays import Array
 from qpctrl.controller import Controller
+from qpctrl.errors import InputError
 from qpctrl.objective import Reference
 from qpctrl.robot import Robot
 from scenarios.plant import Plant, PlantState
@@ -72,6 +73,10 @@ class Options:
     """Variables of the QP: (a, λ) or (a, τ, λ)."""
     seed: int = 0
     """Seed of every random number of the run."""
+
+    def __post_init__(self) -> None:
+        if self.seed < 0:
+            raise InputError(f"seed: got {self.seed}, need a number >= 0")
 
 
 class Scenario(Protocol):

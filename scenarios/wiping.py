@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pinocchio as pin
 
-from qpctrl.arrays import Vector, Wrench
+from qpctrl.arrays import Matrix, Vector, Wrench
 from qpctrl.objective import Reference
 from scenarios.path import PlanarMotion, glide, wiping_loops
 from scenarios.plant import PlantState
@@ -21,6 +21,8 @@ PRESS_TIME = 1.2  # s, to ramp the force and settle
 RELEASE_TIME = 0.3  # s, to ramp the force down
 LIFT_TIME = 0.8  # s
 LIFT_DISTANCE = 0.05  # m
+
+_REST = np.zeros(3)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -43,12 +45,20 @@ class WipingPlan:
     """Whether the tool touches the board at time 0 (exact rigid plant)."""
     loops: PlanarMotion = field(init=False)
     """Path on the board, in the x-y plane of E."""
+    p_E: Matrix = field(init=False)
+    """Position on the path (samples×3) [m], along the axes of E."""
+    v_E: Matrix = field(init=False)
+    """Velocity (samples×3) [m/s]."""
+    a_E: Matrix = field(init=False)
+    """Acceleration (samples×3) [m/s²]."""
 
     def __post_init__(self) -> None:
         loops = wiping_loops(self.speed, self.duration, self.dt)
         if self.start_on_board:
             loops = loops._replace(p=loops.p - loops.p[0])
         object.__setattr__(self, "loops", loops)
+        for name, planar in (("p_E", loops.p), ("v_E", loops.v), ("a_E", loops.a)):
+            object.__setattr__(self, name, np.pad(planar, ((0, 0), (0, 1))))
 
 
 class WipingGuide:
@@ -63,32 +73,37 @@ class WipingGuide:
     def __init__(self, plan: WipingPlan) -> None:
         self._plan = plan
         self._phase = "press" if plan.start_on_board else "approach"
-        self._since = 0.0
-        self._last_felt = 0.0
-        self._lift_from = plan.X_WT_home
-        start = plan.X_WT_home if plan.start_on_board else plan.X_WE
-        self._origin = start.translation
-        self._R_WE = plan.X_WE.rotation
-        self._tool_pose = plan.X_WT_home
+        self._since = self._last_felt = 0.0
+        origin = plan.X_WT_home if plan.start_on_board else plan.X_WE
+        self._origin, self._R_WE = origin.translation, plan.X_WE.rotation
+        self._before_board = plan.p_E[0] - np.array([0.0, 0.0, STAND_OFF])
+        self._moves = {
+            "approach": self._approach,
+            "touch": self._touch,
+            "press": self._press,
+            "wipe": self._wipe,
+            "release": self._release,
+            "lift": self._lift,
+        }
 
     def direct(self, state: PlantState) -> Directive | None:
         """Return what to do at ``state``, or none when the eraser is lifted off."""
         pressing = float(state.wrench_meas[2])
         if pressing > TOUCH_FORCE:
             self._last_felt = state.time
-        self._advance(state, pressing)
+        self._advance(state, felt=pressing > TOUCH_FORCE)
         t = state.time - self._since
         if self._phase == "done":
             return None
         mode = "contact" if self._phase in ("press", "wipe", "release") else "free"
-        references: dict[str, Reference] = {"motion": getattr(self, f"_{self._phase}")(t)}
+        references: dict[str, Reference] = {"motion": self._moves[self._phase](t)}
         if mode == "contact":
             references["force"] = ForceReference(F_ref=self._set_point(), F_meas=state.wrench_meas)
-        felt = state.time - self._last_felt < LOST_TIME
-        return Directive(self._phase, mode, references, mode == "free" or felt)
+        recent = state.time - self._last_felt < LOST_TIME
+        return Directive(self._phase, mode, references, mode == "free" or recent)
 
-    def _advance(self, state: PlantState, pressing: float) -> None:
-        t, felt = state.time - self._since, pressing > TOUCH_FORCE
+    def _advance(self, state: PlantState, *, felt: bool) -> None:
+        t = state.time - self._since
         lost = state.time - self._last_felt > LOST_TIME
         leave = {
             "approach": t >= APPROACH_TIME,
@@ -99,73 +114,52 @@ class WipingGuide:
             "lift": t >= LIFT_TIME,
         }
         if self._phase == "press" and lost and not self._plan.start_on_board:
-            self._enter("touch", state)
-        elif self._phase in leave and leave[self._phase]:
+            self._phase, self._since = "touch", state.time
+        elif leave.get(self._phase, False):
             order = (*self.phases, "done")
-            self._enter(order[order.index(self._phase) + 1], state)
-
-    def _enter(self, phase: str, state: PlantState) -> None:
-        self._phase, self._since = phase, state.time
-        if phase == "release":
-            self._release_from = state.time
+            self._phase, self._since = order[order.index(self._phase) + 1], state.time
 
     def _set_point(self) -> Wrench:
         force = TOUCH_FORCE if self._phase == "release" else self._plan.force
         return np.array([0.0, 0.0, force, 0.0, 0.0, 0.0])
 
     def _approach(self, t: float) -> MotionReference:
-        start = self._plan.X_WT_home.translation
-        goal = self._on_board(self._plan.loops.p[0], -STAND_OFF)
+        start = self._R_WE.T @ (self._plan.X_WT_home.translation - self._origin)
         s, s_dot, s_ddot = glide(t, APPROACH_TIME)
-        way = goal - start
+        way = self._before_board - start
         return self._moving(start + s * way, s_dot * way, s_ddot * way)
 
     def _touch(self, t: float) -> MotionReference:
-        inward = self._R_WE[:, 2]
-        start = self._on_board(self._plan.loops.p[0], -STAND_OFF)
-        reached = TOUCH_SPEED * glide_in(t)
-        return self._moving(start + reached[0] * inward, reached[1] * inward, reached[2] * inward)
+        inward = np.array([0.0, 0.0, TOUCH_SPEED])
+        s, s_dot, s_ddot = _set_off(t)
+        return self._moving(self._before_board + s * inward, s_dot * inward, s_ddot * inward)
 
     def _press(self, t: float) -> MotionReference:
-        return self._moving(self._on_board(self._plan.loops.p[0], 0.0))
+        return self._moving(self._plan.p_E[0])
 
     def _wipe(self, t: float) -> MotionReference:
-        loops = self._plan.loops
-        i = min(round(t / self._plan.dt), len(loops.p) - 1)
-        x, y = self._R_WE[:, 0], self._R_WE[:, 1]
-        v, a = loops.v[i], loops.a[i]
-        return self._moving(
-            self._on_board(loops.p[i], 0.0), v[0] * x + v[1] * y, a[0] * x + a[1] * y
-        )
+        plan = self._plan
+        i = min(round(t / plan.dt), len(plan.p_E) - 1)
+        return self._moving(plan.p_E[i], plan.v_E[i], plan.a_E[i])
 
     def _release(self, t: float) -> MotionReference:
-        return self._moving(self._on_board(self._plan.loops.p[-1], 0.0))
+        return self._moving(self._plan.p_E[-1])
 
     def _lift(self, t: float) -> MotionReference:
-        start, outward = self._on_board(self._plan.loops.p[-1], 0.0), -self._R_WE[:, 2]
         s, s_dot, s_ddot = glide(t, LIFT_TIME)
-        way = LIFT_DISTANCE * outward
-        return self._moving(start + s * way, s_dot * way, s_ddot * way)
+        way = np.array([0.0, 0.0, -LIFT_DISTANCE])
+        return self._moving(self._plan.p_E[-1] + s * way, s_dot * way, s_ddot * way)
 
-    def _on_board(self, point: Vector, depth: float) -> Vector:
-        R = self._R_WE
-        return self._origin + point[0] * R[:, 0] + point[1] * R[:, 1] + depth * R[:, 2]
-
-    def _moving(
-        self, p: Vector, v: Vector | None = None, a: Vector | None = None
-    ) -> MotionReference:
-        R = self._R_WE
-        zero = np.zeros(3)
-        v_D = zero if v is None else R.T @ v
-        a_D = zero if a is None else R.T @ a
-        return MotionReference(
-            X_WD=pin.SE3(R, p), V_des=np.r_[v_D, zero], V_dot_des=np.r_[a_D, zero]
-        )
+    def _moving(self, p_E: Vector, v_E: Vector = _REST, a_E: Vector = _REST) -> MotionReference:
+        """Return the reference of a tool aligned with the board, moving along its axes."""
+        V_des, V_dot_des = np.zeros(6), np.zeros(6)
+        V_des[:3], V_dot_des[:3] = v_E, a_E
+        X_WD = pin.SE3(self._R_WE, self._origin + self._R_WE @ p_E)
+        return MotionReference(X_WD=X_WD, V_des=V_des, V_dot_des=V_dot_des)
 
 
-def glide_in(t: float) -> Vector:
-    """Return distance, speed and acceleration per unit speed, from rest to steady in 0.1 s."""
-    ramp = 0.1
+def _set_off(t: float, ramp: float = 0.1) -> Vector:
+    """Return distance, speed and acceleration per unit of speed, from rest to steady."""
     if t < ramp:
         x = t / ramp
         return np.array([ramp * (x**3 - x**4 / 2), 3 * x**2 - 2 * x**3, (6 * x - 6 * x**2) / ramp])

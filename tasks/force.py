@@ -15,7 +15,7 @@ from typing import final
 import casadi as ca
 import numpy as np
 
-from qpctrl.arrays import Array, Wrench, non_negative
+from qpctrl.arrays import Array, Vector, non_negative
 from qpctrl.factor import Factor
 from qpctrl.objective import ForceObjective, Scene, TaskExpressions
 from qpctrl.space import TaskSpace
@@ -30,9 +30,9 @@ class ForceReference:
     Both act on the environment, at the origin and along the axes of the task frame.
     """
 
-    F_ref: Wrench
+    F_ref: Vector
     """Set-point (n) [N, Nm] that the ramp runs towards."""
-    F_meas: Wrench
+    F_meas: Vector
     """Measured wrench (n) [N, Nm]."""
     gains: Mapping[str, Array] = field(default_factory=dict)
     """Inputs of the task to change from this tick on, by name."""

@@ -144,13 +144,13 @@ def test_only_the_push_of_a_plane_is_one_sided() -> None:
 
 def test_a_selection_keeps_rows_names_and_sides() -> None:
     plane = board(SPACE)
-    some = Selection(whole=plane, keep=(0, 2))
+    some = Selection(whole=plane, keep=(2, 0))
     motion = next(tool_motions(1))
     whole, kept = (evaluate(constraint, *motion) for constraint in (plane, some))
     for all_rows, some_rows in zip(whole, kept, strict=True):
-        assert np.array_equal(all_rows[[0, 2]], some_rows)
-    assert some.row_names == ("vz", "wy")
-    assert some.unilateral == (True, False)
+        assert np.array_equal(all_rows[[2, 0]], some_rows)
+    assert some.row_names == ("wy", "vz")
+    assert some.unilateral == (False, True)
     assert some.name == plane.name
     assert some.space == plane.space
 

@@ -278,8 +278,16 @@ def test_the_torque_that_is_sent_is_that_of_the_law(law: Any) -> None:
     assert np.abs(report.tau_hybrid - report.tau_textbook).max() > 1e-6
 
 
+def test_two_controllers_with_proxsuite_agree_to_its_accuracy() -> None:
+    """Its kernels sum in an order that depends on where their memory lies: no identical bits."""
+    one, other = (run(make_controller(solver="proxsuite"), 40) for _ in range(2))
+    for a, b in zip(one, other, strict=True):
+        assert a.command.tau == pytest.approx(b.command.tau, rel=LAW_AGREEMENT)
+        assert a.memory.x.tobytes() == b.memory.x.tobytes()
+
+
 def test_two_controllers_give_identical_bits() -> None:
-    one, other = (run(make_controller(), 40) for _ in range(2))
+    one, other = (run(make_controller(solver="daqp"), 40) for _ in range(2))
     for a, b in zip(one, other, strict=True):
         assert a.command.tau.tobytes() == b.command.tau.tobytes()
         assert a.memory.x.tobytes() == b.memory.x.tobytes()
@@ -313,8 +321,9 @@ def test_a_mode_switch_takes_over_what_both_modes_remember() -> None:
         for memory in (before, after)
     }
     carried = views["free"]["motion.integral"] - views["contact"]["motion.integral"]
-    assert np.abs(views["contact"]["motion.integral"]).max() > 1e-6
-    assert 0 < np.abs(carried).max() < 1e-3  # one tick further, not from zero
+    size = np.abs(views["contact"]["motion.integral"]).max()
+    assert size > 1e-6
+    assert 0 < np.abs(carried).max() < 0.5 * size  # one tick further, not from zero
     back = Step(*controller.step("contact", measured(31), references(0.031), after))
     views = controller.engines["contact"].tick.memory.views(back.memory.x)
     assert np.abs(views["force.F_des"]).max() <= 0.1 + INSIDE  # its ramp starts again
@@ -410,7 +419,8 @@ def test_literals_are_refused_where_nobody_checks_types(option: str, says: str) 
     )
     tests = Path(__file__).parent
     ran = subprocess.run(
-        [sys.executable, "-c", code], cwd=tests, env={**os.environ, "PYTHONPATH": f"{tests.parent}"},
+        [sys.executable, "-c", code], cwd=tests,
+        env={**os.environ, "PYTHONPATH": f"{tests.parent}"},
         capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert "qpctrl.errors.InputError" in ran.stderr
@@ -450,10 +460,17 @@ def test_two_modes_of_one_name_are_refused() -> None:
 # Modes without a textbook law ---------------------------------------------------------------
 
 
+def with_elbow() -> Robot:
+    """Return the arm with a second frame, half-way."""
+    model = chain(7, seed=7).model
+    model.addFrame(pin.Frame("elbow", 4, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
+    return Robot(model=model, limits=arm().limits, home=arm().home)
+
+
 def test_two_task_spaces_are_compared_with_the_kkt_solution() -> None:
     """Elbow and tool of the 7-joint arm, three axes each: no textbook law, but one optimum."""
-    robot, POINT = arm(), ("vx", "vy", "vz")
-    first, second = TaskSpace("tool", POINT), TaskSpace("joint4", POINT)
+    robot, POINT = with_elbow(), ("vx", "vy", "vz")
+    first, second = TaskSpace("tool", POINT), TaskSpace("elbow", POINT)
     motions = tuple(
         Weighted(MotionTask(space=space, name=name), weight)
         for space, name, weight in ((first, "tool", 2.0), (second, "elbow", 0.3))
@@ -467,7 +484,7 @@ def test_two_task_spaces_are_compared_with_the_kkt_solution() -> None:
     memory = controller.start("two", seen.q)
     given = {
         "tool": MotionReference(X_WD=robot.pose(robot.home, "tool")),
-        "elbow": MotionReference(X_WD=robot.pose(robot.home, "joint4")),
+        "elbow": MotionReference(X_WD=robot.pose(robot.home, "elbow")),
         "limits": Given(tau_rate=1e9),
     }
     command, report, _ = controller.step("two", seen, given, memory)
