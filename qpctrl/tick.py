@@ -74,7 +74,7 @@ def build_tick(robot: Robot, mode: Mode, form: str = "reduced") -> Tick:
     splits = [split for split in model.splits.values() if split.k]
     outputs = {
         **qp._asdict(),
-        **_law_outputs(law, form, qp.H.shape[0], robot.nv),
+        **_law_outputs(law, form, qp.H.shape[0], robot.nu),
         "G": G,
         "memory": model.memory_after(),
         "mobility_left": _stack(terms.mobility_left for terms in model.spaces.values()),
@@ -178,9 +178,9 @@ def _law(model: ModeModel) -> LawTorque | None:
     )
 
 
-def _law_outputs(law: LawTorque | None, form: str, size: int, nv: int) -> dict[str, SX]:
+def _law_outputs(law: LawTorque | None, form: str, size: int, nu: int) -> dict[str, SX]:
     if law is None:
-        none = {"tau_textbook": nv, "tau_hybrid": nv, "curvature": nv, "x_law": size}
+        none = {"tau_textbook": nu, "tau_hybrid": nu, "curvature": nu, "x_law": size}
         return {name: ca.SX.zeros(length) for name, length in none.items()}
     middle = law.hybrid if form == "full" else ca.SX(0, 1)
     return {

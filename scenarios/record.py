@@ -1,19 +1,26 @@
 """The record of a run: one row a tick, written to Parquet in one piece."""
 
-import time
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import polars as pl
 
-from qpctrl.arrays import Array, Vector
+from qpctrl.arrays import Matrix, Vector
 from qpctrl.controller import Controller
 from qpctrl.report import Command, TickReport
 from qpctrl.status import Status
+from qpctrl.tick import Tick as ControlTick
 from scenarios.plant import PlantState
 from scenarios.scenario import Directive
 
+SCALARS = (
+    *("time", "law_gap", "textbook_gap", "unexplained_gap", "curvature"),
+    *("damping", "kkt_residual", "tick_us"),
+)
+WORDS = ("phase", "mode", "status", "active", "explanation")
+MARKS = ("fallback", "touching", "saturated")
 WRENCH = ("fx", "fy", "fz", "mx", "my", "mz")
 
 
@@ -30,80 +37,100 @@ class Tick:
 
 
 class Record:
-    """Collects ticks and turns them into a table."""
+    """Collects ticks in growing arrays and turns them into a table."""
 
     def __init__(self, controller: Controller) -> None:
-        self._controller = controller
-        self._rows: list[Tick] = []
-        self._started = time.perf_counter()
+        robot = controller.robot
+        joints = robot.joint_names
+        self._vectors = {
+            **dict.fromkeys(("q", "v"), joints),
+            **dict.fromkeys(("tau", "tau_qp", "tau_hybrid", "tau_textbook"), robot.actuator_names),
+            "tau_delivered": joints,
+            "wrench_meas": WRENCH,
+        }
+        self._signals = {
+            name: _signal_names(engine.tick) for name, engine in controller.engines.items()
+        }
+        self._multipliers = {
+            name: engine.tick.rows.equality[: engine.tick.mode_rows]
+            for name, engine in controller.engines.items()
+        }
+        self._B = robot.B
+        widths = {name: len(parts) for name, parts in self._vectors.items()}
+        widths |= dict.fromkeys(SCALARS, 1)
+        for mode, names in self._signals.items():
+            widths[f"signals {mode}"] = len(names)
+            widths[f"lam {mode}"] = len(self._multipliers[mode])
+        self._arrays = {name: np.full((4096, width), np.nan) for name, width in widths.items()}
+        self._words: dict[str, list[str]] = {name: [] for name in WORDS}
+        self._marks: dict[str, list[bool]] = {name: [] for name in MARKS}
+        self._count = 0
 
     def add(self, tick: Tick) -> None:
         """Append one tick."""
-        self._rows.append(tick)
+        i, arrays, report, state = self._count, self._arrays, tick.report, tick.state
+        if i == len(arrays["time"]):
+            self._arrays = arrays = {name: _doubled(array) for name, array in arrays.items()}
+        for name in ("law_gap", "textbook_gap", "unexplained_gap", "curvature", "damping"):
+            arrays[name][i] = getattr(report, name)
+        arrays["time"][i], arrays["tick_us"][i] = state.time, tick.tick_us
+        arrays["kkt_residual"][i] = report.kkt_residual
+        arrays["q"][i], arrays["v"][i] = state.q, state.v
+        arrays["wrench_meas"][i] = state.wrench_meas
+        arrays["tau"][i], arrays["tau_qp"][i] = tick.command.tau, report.tau_qp
+        arrays["tau_hybrid"][i], arrays["tau_textbook"][i] = report.tau_hybrid, report.tau_textbook
+        arrays["tau_delivered"][i] = self._B @ tick.command.tau
+        arrays[f"signals {report.mode}"][i] = report.signals
+        arrays[f"lam {report.mode}"][i] = report.lam
+        eventful = report.saturated or report.damping > 0 or tick.command.fallback
+        words = (
+            *(tick.directive.phase, report.mode, report.status.name),
+            ", ".join(limit.name for limit in report.active),
+            report.explain() if eventful else "",
+        )
+        for name, word in zip(WORDS, words, strict=True):
+            self._words[name].append(word)
+        marks = (tick.command.fallback, state.touching, report.saturated)
+        for name, mark in zip(MARKS, marks, strict=True):
+            self._marks[name].append(mark)
+        self._count += 1
 
     def table(self) -> pl.DataFrame:
         """Return one row a tick; vector columns are named ``quantity.component``."""
-        rows, names = self._rows, self._controller.robot.joint_names
-        reports = [row.report for row in rows]
-        columns: dict[str, Array | list[str] | list[bool]] = {
-            "time": np.array([row.state.time for row in rows]),
-            "phase": [row.directive.phase for row in rows],
-            "mode": [row.directive.mode for row in rows],
-            "status": [report.status.name for report in reports],
-            "fallback": [row.command.fallback for row in rows],
-            "touching": [row.state.touching for row in rows],
-            "saturated": [report.saturated for report in reports],
-            "active": [", ".join(limit.name for limit in report.active) for report in reports],
+        n = self._count
+        columns: dict[str, Vector | list[str] | list[bool]] = {
+            "time": self._arrays["time"][:n, 0],
+            **self._words,
+            **self._marks,
         }
-        for name, values in self._vectors().items():
-            parts = WRENCH if name.startswith("wrench") else names
-            columns |= {f"{name}.{part}": values[:, i] for i, part in enumerate(parts)}
-        columns |= self._multipliers()
-        columns |= self._signals()
-        for name in ("law_gap", "textbook_gap", "unexplained_gap", "curvature", "damping"):
-            columns[name] = np.array([getattr(report, name) for report in reports])
-        columns["kkt_residual"] = np.array([report.kkt_residual for report in reports])
-        columns["tick_us"] = np.array([row.tick_us for row in rows])
+        for name, parts in self._vectors.items():
+            for j, part in enumerate(parts):
+                columns[f"{name}.{part}"] = self._arrays[name][:n, j]
+        columns |= self._merged(
+            "lam", {m: [f"lam.{r}" for r in v] for m, v in self._multipliers.items()}
+        )
+        columns |= self._merged("signals", self._signals)
+        columns |= {name: self._arrays[name][:n, 0] for name in SCALARS if name != "time"}
         return pl.DataFrame(columns)
 
-    def _vectors(self) -> dict[str, Array]:
-        rows = self._rows
-        return {
-            "q": np.array([row.state.q for row in rows]),
-            "v": np.array([row.state.v for row in rows]),
-            "tau": np.array([row.command.tau for row in rows]),
-            "tau_qp": np.array([row.report.tau_qp for row in rows]),
-            "tau_hybrid": np.array([row.report.tau_hybrid for row in rows]),
-            "tau_textbook": np.array([row.report.tau_textbook for row in rows]),
-            "tau_delivered": np.array([row.command.tau for row in rows]),
-            "wrench_meas": np.array([row.state.wrench_meas for row in rows]),
-        }
-
-    def _multipliers(self) -> dict[str, Vector]:
-        names = {
-            mode: engine.tick.rows.equality[: engine.tick.mode_rows]
-            for mode, engine in self._controller.engines.items()
-        }
-        columns = {f"lam.{n}": np.full(len(self._rows), np.nan) for m in names.values() for n in m}
-        for i, row in enumerate(self._rows):
-            for name, value in zip(names[row.report.mode], row.report.lam, strict=True):
-                columns[f"lam.{name}"][i] = value
-        return columns
-
-    def _signals(self) -> dict[str, Vector]:
+    def _merged(self, kind: str, names: Mapping[str, Sequence[str]]) -> dict[str, Vector]:
+        """Return the columns of all modes; what a mode does not have is NaN in its ticks."""
         columns: dict[str, Vector] = {}
-        for mode, engine in self._controller.engines.items():
-            at = [i for i, row in enumerate(self._rows) if row.report.mode == mode]
-            if not at:
-                continue
-            values = np.array([self._rows[i].report.signals for i in at])
-            start = 0
-            for name, size in engine.tick.signals.items():
-                for j in range(size):
-                    column = columns.setdefault(f"{name}.{j}", np.full(len(self._rows), np.nan))
-                    column[at] = values[:, start + j]
-                start += size
+        for mode, parts in names.items():
+            values = self._arrays[f"{kind} {mode}"][: self._count]
+            for j, part in enumerate(parts):
+                known = columns.get(part)
+                fresh = values[:, j]
+                columns[part] = fresh if known is None else np.where(np.isnan(known), fresh, known)
         return columns
+
+
+def _signal_names(tick: ControlTick) -> list[str]:
+    return [f"{name}.{j}" for name, size in tick.signals.items() for j in range(size)]
+
+
+def _doubled(array: Matrix) -> Matrix:
+    return np.vstack([array, np.full_like(array, np.nan)])
 
 
 def fallback_count(table: pl.DataFrame) -> int:

@@ -193,10 +193,14 @@ def _what_ran(config: Mapping[str, Any]) -> str:
         "friction": "friction {}",
         "force_noise": "force noise {} N",
     }
+    if config.get("plant") == "rigid":
+        del words["friction"]  # that plant has none
+    if not config.get("force_noise"):
+        del words["force_noise"]
     said = [
         form.format(number(config[name]))
         for name, form in words.items()
-        if config.get(name) is not None and (name != "force_noise" or config[name])
+        if config.get(name) is not None
     ]
     return " · ".join([*said, law, solver])
 
