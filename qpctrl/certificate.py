@@ -13,7 +13,7 @@ KKT_TOLERANCE = 1e-9
 """Largest KKT residual of a tick that is accepted."""
 
 INPUTS = (
-    *("H", "g", "A", "b", "C", "lb", "ub", "T", "t"),
+    *("H", "g", "A", "b", "C", "lb", "ub", "t"),
     *("tau_textbook", "tau_hybrid", "curvature"),
 )
 """Outputs of the tick that the certificate reads, after x, y and z."""
@@ -30,7 +30,10 @@ def build_certificate(tick: Tick) -> ca.Function:
     f = tick.function
     s = {name: ca.SX.sym(name, *f.size_out(name)) for name in INPUTS}
     x, y, z = (ca.SX.sym(n, s[of].shape[0]) for n, of in (("x", "g"), ("y", "b"), ("z", "lb")))
-    tau = s["T"] @ x + s["t"]
+    inputs = [x, y, z, *s.values()]
+    s |= {name: ca.project(s[name], pattern) for name, pattern in tick.patterns.items()}
+    Cx = s["C"] @ x
+    tau = Cx[: s["t"].shape[0]] + s["t"]
     size = ca.fmax(_largest(s["tau_hybrid"]), _largest(tau))
     gaps = ca.vertcat(
         _largest(tau - s["tau_hybrid"]),
@@ -40,16 +43,16 @@ def build_certificate(tick: Tick) -> ca.Function:
     )
     return ca.Function(
         "certificate",
-        [x, y, z, *s.values()],
-        [tau, _kkt(s, x, y, z), gaps / size],
+        inputs,
+        [tau, _kkt(s, Cx, x, y, z), gaps / size],
         ["x", "y", "z", *s],
         ["tau", "kkt", "gaps"],
         {"cse": True},
     )
 
 
-def _kkt(s: dict[str, SX], x: SX, y: SX, z: SX) -> SX:
-    Cx, Ax = s["C"] @ x, s["A"] @ x
+def _kkt(s: dict[str, SX], Cx: SX, x: SX, y: SX, z: SX) -> SX:
+    Ax = s["A"] @ x
     terms = (s["H"] @ x, s["g"], s["A"].T @ y, s["C"].T @ z)
     above, below = s["ub"] - Cx, Cx - s["lb"]
     push_down, push_up = ca.fmax(z, 0), ca.fmax(-z, 0)

@@ -60,7 +60,7 @@ class Controller:
     """A whole-body controller for one robot and a set of modes.
 
     Frozen data in, frozen data out: all that one tick leaves to the next is in `Memory`, but
-    for the solver's warm start.
+    for the solver's warm start and the references of tasks that are not given again.
     """
 
     def __init__(

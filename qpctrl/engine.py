@@ -8,25 +8,23 @@ import numpy as np
 
 from qpctrl import certificate
 from qpctrl.arrays import Vector
-from qpctrl.errors import unknown_name
+from qpctrl.errors import InputError, unknown_name
 from qpctrl.evaluator import Evaluator
 from qpctrl.mode import Mode
 from qpctrl.objective import Reference
+from qpctrl.polish import Polish
 from qpctrl.rank import dependent_rows
 from qpctrl.report import ActiveLimit, TickReport, Yield
 from qpctrl.robot import Robot
-from qpctrl.solver import QpData, Solution, Solver, polish, solve_equalities
+from qpctrl.solver import QpData, Solution, Solver
 from qpctrl.status import Status
-from qpctrl.tick import build_tick
+from qpctrl.tick import SINGULAR_MOBILITY, build_tick
 
 ACTIVE_DUAL = 1e-8
 """A row counts as active when its dual is larger than this."""
 
-POLISH_ABOVE = 1e-11
-"""KKT residual above which one exact solve on the active set is tried."""
-
-SINGULAR_MOBILITY = 1e-4
-"""Share of the mobility left along an axis below which Λ⁻¹ is damped."""
+WELL_POLISHED = 1e-12
+"""KKT residual below which a polished solution is taken as it is."""
 
 SINGULAR_DAMPING = 0.05
 """Damping μ at the singularity itself [1/kg, 1/(kg m²)]."""
@@ -55,6 +53,7 @@ class Engine:
     Attributes:
         tick: the function and its names.
         terms: its outputs by name; overwritten every tick.
+        qp: the QP among those outputs.
         inputs: its named inputs as writable views; gains and limits may be changed between
             ticks.
     """
@@ -66,18 +65,28 @@ class Engine:
         self._robot, self._solver, self._tolerance = robot, solver, tolerance
         self._evaluate = Evaluator(self.tick.function)
         self.terms = self._evaluate.outputs
-        self._certify = Evaluator(certificate.build_certificate(self.tick), self.terms)
+        sizes = (len(self.terms["g"]), len(self.terms["b"]), len(self.terms["lb"]))
+        self._polish = Polish(*sizes)
+        self._point = np.zeros(sum(sizes))
+        x, y, z = np.split(self._point, np.cumsum(sizes[:2]))
+        self._certify = Evaluator(
+            certificate.build_certificate(self.tick), {**self.terms, "x": x, "y": y, "z": z}
+        )
         self._u = self._evaluate.inputs["u"]
         self._u[:] = self.tick.inputs.vector()
         self.inputs = self.tick.inputs.views(self._u)
         self.inputs["dt"][...] = dt
-        self._qp = QpData(*(self.terms[name] for name in QpData._fields))
+        self.qp = QpData(*(self.terms[name] for name in QpData._fields))
         self._k = self.tick.mode_rows
 
     def load(
         self, q: Vector, v: Vector, references: Mapping[str, Reference], memory: TaskMemory
     ) -> None:
-        """Write state, references and memory into the buffers."""
+        """Write state, references and memory into the buffers.
+
+        Raises:
+            InputError: unknown task or input, or an array of the wrong shape.
+        """
         self._evaluate.inputs["q"][:] = q
         self._evaluate.inputs["v"][:] = v
         self._evaluate.inputs["x"][:] = memory.x
@@ -87,9 +96,13 @@ class Engine:
         for task, reference in references.items():
             for key, value in reference.arrays().items():
                 name = f"{task}.{key}"
-                if name not in self.inputs:
-                    raise unknown_name("task input", name, self.inputs)
-                self.inputs[name][...] = value
+                try:
+                    self.inputs[name][...] = value
+                except KeyError:
+                    raise unknown_name("task input", name, self.inputs) from None
+                except ValueError:
+                    shapes = f"got shape {np.shape(value)}, need {self.inputs[name].shape}"
+                    raise InputError(f"{name}: {shapes}") from None
 
     def solve(self, time: float) -> TickReport:
         """Return the report of the tick that was loaded."""
@@ -97,8 +110,8 @@ class Engine:
             return self.refuse(time, Status.NOT_FINITE)
         self._evaluate()
         damping = self._damp()
-        names = dependent_rows(self.tick, self.terms["row_pivots"])
-        if names:
+        if self.terms["dependent"][0]:
+            names = dependent_rows(self.tick, self.terms["row_pivots"])
             return self.refuse(time, Status.DEPENDENT_ROWS, names)
         if not self.tick.has_law:
             self._compare_with_kkt()
@@ -136,9 +149,9 @@ class Engine:
 
     def _damp(self) -> float:
         """Evaluate again with a damped Λ⁻¹ where its smallest pivot is too small."""
-        smallest = float(self.terms["mobility_left"].min(initial=1.0))
-        if smallest >= SINGULAR_MOBILITY:
+        if not self.terms["singular"][0]:
             return 0.0
+        smallest = float(self.terms["mobility_left"].min())
         share = smallest / SINGULAR_MOBILITY if smallest > 0 else 0.0  # NaN where Λ is
         closeness = 1.0 - share
         damping = max(SINGULAR_DAMPING * closeness**2, SINGULAR_DAMPING * 1e-6)
@@ -147,36 +160,41 @@ class Engine:
         return damping
 
     def _solve_qp(self) -> tuple[Solution, float]:
-        """Return the solution and its residual, polished where that helps."""
-        solution = self._solver.solve(self._qp)
-        kkt = self._residual(solution)
-        if solution.feasible and (solution.rough or not kkt <= POLISH_ABOVE):
-            polished = polish(self._qp, solution)
-            if (better := self._residual(polished)) < kkt:
-                return polished, better
-            self._residual(solution)
-        return solution, kkt
+        """Return the solution, polished, and its residual; as the solver left it if better."""
+        rough = self._solver.solve(self.qp)
+        if not rough.feasible:
+            return rough, math.inf
+        for refine in (False, True):
+            polished = self._polish.on_active_set(self.qp, rough, refine=refine)
+            kkt = self._residual(polished)
+            if kkt <= WELL_POLISHED:
+                return polished, kkt
+        if (rough_kkt := self._residual(rough)) <= kkt:
+            return rough, rough_kkt
+        return polished, self._residual(polished)
 
     def _residual(self, solution: Solution) -> float:
+        """Return the KKT residual of a point, which the certificate then refers to."""
         inputs, out = self._certify.inputs, self._certify.outputs
         inputs["x"][:], inputs["y"][:], inputs["z"][:] = solution[:3]
         self._certify()
-        if not math.isfinite(float(solution.x.sum() + out["tau"].sum())):
+        if not math.isfinite(self._point.dot(self._point) + out["tau"].dot(out["tau"])):
             return math.inf  # the maximum in the certificate passes over NaN
-        return float(out["kkt"].max())
+        return max(out["kkt"].tolist())
 
     def _compare_with_kkt(self) -> None:
         """Put the equality-constrained QP in the place of the closed form."""
-        x = solve_equalities(self._qp).x
+        x = self._polish.without_inequalities(self.qp).x
         self.terms["x_law"][:] = x
-        self.terms["tau_hybrid"][:] = self.terms["T"] @ x + self.terms["t"]
+        self.terms["tau_hybrid"][:] = self.terms["C"][: self._robot.nu] @ x + self.terms["t"]
 
     def _report(self, time: float, solution: Solution, damping: float) -> TickReport:
         out, terms = self._certify.outputs, self.terms
         gaps = out["gaps"].tolist()
         if not self.tick.has_law:
             gaps[1:] = [math.nan] * 3
-        active = np.flatnonzero(np.abs(solution.z) > ACTIVE_DUAL)
+        z = solution.z
+        active = np.flatnonzero(np.abs(z) > ACTIVE_DUAL) if z.dot(z) else ()
         return TickReport(
             time=time,
             mode=self.tick.mode.name,
@@ -190,7 +208,7 @@ class Engine:
             textbook_gap=gaps[1],
             unexplained_gap=gaps[2],
             curvature=gaps[3],
-            active=tuple(self._active(int(i), float(solution.z[i])) for i in active),
+            active=tuple(self._active(int(i), float(z[i])) for i in active),
             yields=self._yields(solution.x) if len(active) else (),
             damping=damping,
             dependent_rows=(),

@@ -95,12 +95,12 @@ def closed_forms(law: LawTerms) -> LawTorque:
     """Return `textbook` and `hybrid` for one task space and B = I."""
     terms, P = law.terms, law.split.P
     identity = ca.SX.eye(P.shape[0])
-    moving = P @ terms.Lambda @ law.a_cmd
+    moving = P @ (terms.Lambda @ law.a_cmd)
     pressing = (identity - P) @ law.F_cmd
     posture = law.M_N @ law.a_post
     textbook = law.h + terms.J.T @ (moving + pressing - terms.Lambda @ terms.J_dot_v) + posture
     curvature = terms.J.T @ law.split.curvature_wrench
     hybrid = textbook - curvature
     lam = law.split.multiplier(law.F_cmd)
-    a = law.M_factor.solve(hybrid - law.h - terms.J.T @ law.split.A.T @ lam)
+    a = law.M_factor.solve(hybrid - law.h - terms.J.T @ (law.split.A.T @ lam))
     return LawTorque(textbook, hybrid, curvature, a, lam)

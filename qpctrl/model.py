@@ -132,12 +132,12 @@ class ModeModel:
         nv = self.robot.nv
         spaces = list(self.spaces.values())
         if len(spaces) == 1:
-            return self.dynamics.M - spaces[0].J.T @ spaces[0].Lambda @ spaces[0].J
+            return self.dynamics.M - spaces[0].task_inertia
         if sum(terms.space.n for terms in spaces) > nv:
             return ca.SX.zeros(nv, nv)
         J = ca.vertcat(ca.SX(0, nv), *(terms.J for terms in spaces))
-        mobility = J @ self.M_factor.solve(J.T) + self.u["mu"] * ca.SX.eye(J.shape[0])
-        return self.dynamics.M - J.T @ Factor(mobility).solve(J)
+        mobility = self.M_factor.congruence(J.T) + self.u["mu"] * ca.SX.eye(J.shape[0])
+        return self.dynamics.M - Factor(mobility).congruence(J)
 
 
 def _spaces(mode: Mode) -> tuple[TaskSpace, ...]:

@@ -19,7 +19,10 @@ from qpctrl.spatial import SX
 
 
 class QpExpressions(NamedTuple):
-    """``min ½ xᵀHx + gᵀx  s.t.  A x = b,  lb ≤ C x ≤ ub``, and how x gives the torque."""
+    """``min ½ xᵀHx + gᵀx  s.t.  A x = b,  lb ≤ C x ≤ ub``, and how x gives the torque.
+
+    The first nu rows of C are those of the torque: τ = C[:nu] x + t.
+    """
 
     H: SX
     g: SX
@@ -28,8 +31,6 @@ class QpExpressions(NamedTuple):
     C: SX
     lb: SX
     ub: SX
-    T: SX
-    """Torque map: τ = T x + t."""
     t: SX
 
 
@@ -95,7 +96,7 @@ def reduced_qp(terms: QpTerms) -> tuple[QpExpressions, RowNames]:
         terms.constraint_rows + tuple(f"undriven {i}" for i in range(len(undriven))),
         _inequality_names(terms),
     )
-    return qp._replace(T=T, t=t), names
+    return qp._replace(t=t), names
 
 
 def full_qp(terms: QpTerms) -> tuple[QpExpressions, RowNames]:
@@ -109,7 +110,7 @@ def full_qp(terms: QpTerms) -> tuple[QpExpressions, RowNames]:
     b = ca.vertcat(terms.b_c, -terms.h)
     qp = _arrange(terms, ca.SX.zeros(nu, nu), A, b, select, terms.torque)
     dynamics = tuple(f"dynamics {name}" for name in terms.joint_names)
-    return qp._replace(T=select, t=ca.SX.zeros(nu)), RowNames(
+    return qp._replace(t=ca.SX.zeros(nu)), RowNames(
         terms.constraint_rows + dynamics, _inequality_names(terms)
     )
 
@@ -133,7 +134,6 @@ def _arrange(
         C=ca.vertcat(torque_rows, identity[: terms.nv, :], lam_rows),
         lb=ca.vertcat(torque.lb, terms.acceleration.lb, ca.SX.zeros(len(pushes))),
         ub=ca.vertcat(torque.ub, terms.acceleration.ub, UNBOUNDED * ca.SX.ones(len(pushes))),
-        T=ca.SX(0, 0),
         t=ca.SX(0, 0),
     )
 

@@ -11,12 +11,9 @@ from qpctrl.errors import InputError, unknown_name
 from qpctrl.evaluator import Evaluator
 from qpctrl.mode import Mode
 from qpctrl.robot import Robot
-from qpctrl.tick import Tick, build_tick
+from qpctrl.tick import PIVOT_RATIO, Tick, build_tick
 
 DependentRows = Literal["refuse", "drop"]
-
-PIVOT_RATIO = 1e-10
-"""A row whose pivot falls below this share of its diagonal depends on the rows before it."""
 
 
 def dependent_rows(tick: Tick, row_pivots: Vector) -> tuple[str, ...]:

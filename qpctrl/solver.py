@@ -18,6 +18,10 @@ from qpctrl.arrays import Matrix, Vector
 from qpctrl.errors import unknown_name
 from qpctrl.limit import UNBOUNDED
 
+dense = proxsuite.proxqp.dense
+SOLVED, INFEASIBLE = proxsuite.proxqp.PROXQP_SOLVED, proxsuite.proxqp.PROXQP_PRIMAL_INFEASIBLE
+WARM_START = proxsuite.proxqp.WARM_START_WITH_PREVIOUS_RESULT
+
 EPS = 1e-11
 """Absolute accuracy asked of proxsuite; its default (1e-5) is wrong by up to 1e-3 in torque."""
 
@@ -48,8 +52,6 @@ class Solution(NamedTuple):
     z: Vector
     feasible: bool = True
     """False where the solver found that there is no solution."""
-    rough: bool = False
-    """Whether the solver knows that it stopped short of its absolute accuracy."""
 
 
 @runtime_checkable
@@ -67,38 +69,42 @@ class ProxSuite:
     """
 
     def __init__(self) -> None:
-        self._qp: proxsuite.proxqp.dense.QP | None = None
+        self._qp: Any = None
+        self._results: Any = None
+        self._point: tuple[Any, Any, Any] = (None, None, None)
+        self._cold = True
 
     def solve(self, qp: QpData) -> Solution:
         """Return the solution from the last one; a failed start is repeated from cold."""
         if self._qp is None:
-            self._qp = _proxqp(qp)
+            self._start(qp)
         else:
-            self._qp.update(qp.H, qp.g, qp.A, qp.b, qp.C, qp.lb, qp.ub)
-        self._qp.solve()
-        if self._qp.results.info.status != proxsuite.proxqp.PROXQP_SOLVED:
-            self._qp = _proxqp(qp)
-            self._qp.solve()
-        results = self._qp.results
-        infeasible = proxsuite.proxqp.PROXQP_PRIMAL_INFEASIBLE
-        feasible = results.info.status != infeasible
-        rough = max(results.info.dua_res, results.info.pri_res) > 2 * EPS
-        solution = Solution(results.x.copy(), results.y.copy(), results.z.copy(), feasible, rough)
-        if results.info.status != proxsuite.proxqp.PROXQP_SOLVED:
+            self._qp.update(*qp)
+        if not self._solved() and not self._cold:
+            self._start(qp)
+            self._solved()
+        self._cold = False
+        status = self._results.info.status
+        if status != SOLVED:
             self._qp = None
-        return solution
+        x, y, z = self._point
+        return Solution(x.copy(), y.copy(), z.copy(), feasible=status != INFEASIBLE)
 
+    def _start(self, qp: QpData) -> None:
+        self._qp = solver = dense.QP(len(qp.g), len(qp.b), len(qp.lb))
+        solver.settings.eps_abs = EPS
+        solver.settings.eps_rel = EPS_RELATIVE
+        solver.settings.max_iter = MAX_ITERATIONS
+        solver.settings.max_iter_in = MAX_ITERATIONS
+        solver.settings.initial_guess = WARM_START
+        solver.settings.compute_timings = False
+        solver.init(*qp)
+        self._results, self._cold = solver.results, True
+        self._point = self._results.x, self._results.y, self._results.z  # views
 
-def _proxqp(qp: QpData) -> proxsuite.proxqp.dense.QP:
-    solver = proxsuite.proxqp.dense.QP(len(qp.g), len(qp.b), len(qp.lb))
-    solver.settings.eps_abs = EPS
-    solver.settings.eps_rel = EPS_RELATIVE
-    solver.settings.max_iter = MAX_ITERATIONS
-    solver.settings.max_iter_in = MAX_ITERATIONS
-    solver.settings.initial_guess = proxsuite.proxqp.WARM_START_WITH_PREVIOUS_RESULT
-    solver.settings.compute_timings = False
-    solver.init(qp.H, qp.g, qp.A, qp.b, qp.C, qp.lb, qp.ub)
-    return solver
+    def _solved(self) -> bool:
+        self._qp.solve()
+        return bool(self._results.info.status == SOLVED)
 
 
 class QpSolvers:
@@ -129,40 +135,6 @@ class QpSolvers:
         z[lower] -= dual[upper.sum() :]
         y = np.zeros(len(qp.b)) if found.y is None else np.asarray(found.y)
         return Solution(np.asarray(found.x), y, z)
-
-
-def polish(qp: QpData, rough: Solution) -> Solution:
-    """Return the exact solution on the active set that ``rough`` points to.
-
-    A bound counts as active where its dual is larger than its slack; whether that guess was
-    right is judged by the residuals.
-    """
-    Cx = qp.C @ rough.x
-    upper, lower = rough.z > qp.ub - Cx, -rough.z > Cx - qp.lb
-    return _solve_kkt(qp, np.flatnonzero(upper | lower), np.where(upper, qp.ub, qp.lb))
-
-
-def solve_equalities(qp: QpData) -> Solution:
-    """Return the minimiser of the QP without its inequalities."""
-    return _solve_kkt(qp, np.empty(0, dtype=int), qp.lb)
-
-
-def _solve_kkt(qp: QpData, active: Any, bound: Vector) -> Solution:
-    """Solve the KKT system with the rows ``active`` of C at ``bound``, refined once."""
-    rows = np.vstack([qp.A, qp.C[active]])
-    n, m = len(qp.g), len(rows)
-    kkt = np.block([[qp.H, rows.T], [rows, np.zeros((m, m))]])
-    rhs = np.concatenate([-qp.g, qp.b, bound[active]])
-    if not np.isfinite(kkt).all() or not np.isfinite(rhs).all():
-        return _nothing(qp)
-    try:
-        point = np.linalg.solve(kkt, rhs)
-        point += np.linalg.solve(kkt, rhs - kkt @ point)
-    except np.linalg.LinAlgError:
-        return _nothing(qp)
-    z = np.zeros(len(qp.lb))
-    z[active] = point[n + len(qp.b) :]
-    return Solution(point[:n], point[n : n + len(qp.b)], z)
 
 
 def _nothing(qp: QpData) -> Solution:

@@ -70,6 +70,7 @@ class SpaceTerms:
         J: Jacobian of the space's axes (n×nv).
         J_dot_v: drift (n) [m/s², rad/s²].
         Lambda_inv, Lambda: task-space inertia and its inverse (n×n), damped by ``mu``.
+        task_inertia: JᵀΛJ (nv×nv), the part of M that the task space takes.
         mobility_left: 1 / Λ_ii (n), the mobility along an axis while the others are held, over
             the frame's mobility in all directions of the same unit; 0 at a singularity.
     """
@@ -77,30 +78,23 @@ class SpaceTerms:
     def __init__(self, space: TaskSpace, dynamics: Dynamics, M_factor: Factor, mu: SX) -> None:
         frame = dynamics.frame(space.frame)
         index = space.index
-        self.space = space
+        self.space, self._M = space, M_factor
         self.motion = FrameMotion(space, frame.X_WF, ca.densify(frame.J @ dynamics.v))
         self.J = ca.densify(frame.J[index, :])
         self.J_dot_v = ca.densify(frame.J_dot_v[index])
-        self._M_inv_JT = M_factor.solve(self.J.T)
-        mobility = self.J @ self._M_inv_JT
-        self.Lambda_inv = mobility + mu * ca.SX.eye(space.n)
-        self.Lambda = Factor(self.Lambda_inv).solve(ca.SX.eye(space.n))
-        whole = _mobility_of_frame(frame.J, M_factor)[index]
-        self.mobility_left = 1 / (ca.diag(self.Lambda) * whole)
+        mobility = M_factor.congruence(ca.densify(frame.J.T))
+        self.Lambda_inv = mobility[index, index] + mu * ca.SX.eye(space.n)
+        Lambda_inv = Factor(self.Lambda_inv)
+        self.Lambda = Lambda_inv.congruence(ca.SX.eye(space.n))
+        self.task_inertia = Lambda_inv.congruence(self.J)
+        self.mobility_left = 1 / (ca.diag(self.Lambda) * _whole_mobility(mobility)[index])
 
     def eta(self, h: SX) -> SX:
-        """Return η (n) [N, Nm] of the bias ``h`` (nv)."""
-        return self.J_bar.T @ h - self.Lambda @ self.J_dot_v
-
-    @property
-    def J_bar(self) -> SX:
-        """Dynamically consistent inverse J̄ (nv×n)."""
-        return self._M_inv_JT @ self.Lambda
+        """Return η = Λ (J M⁻¹ h − J̇v) (n) [N, Nm] of the bias ``h`` (nv) [Nm]."""
+        return self.Lambda @ (self.J @ self._M.solve(h) - self.J_dot_v)
 
 
-def _mobility_of_frame(J: SX, M_factor: Factor) -> SX:
-    """Return, for each axis (6), the trace of J M⁻¹ Jᵀ over the axes of its unit."""
-    traces = [
-        ca.trace(block @ M_factor.solve(ca.densify(block.T))) for block in (J[:3, :], J[3:, :])
-    ]
-    return ca.vertcat(*(ca.fmax(trace, 1e-12) for trace in traces for _ in range(3)))
+def _whole_mobility(mobility: SX) -> SX:
+    """Return, for each axis (6), the trace of the frame's mobility over the axes of its unit."""
+    linear, angular = ca.trace(mobility[:3, :3]), ca.trace(mobility[3:, 3:])
+    return ca.fmax(ca.vertcat(linear, linear, linear, angular, angular, angular), 1e-12)

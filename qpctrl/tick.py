@@ -22,6 +22,12 @@ from qpctrl.robot import Robot
 from qpctrl.space import TaskSpace
 from qpctrl.spatial import SX
 
+SINGULAR_MOBILITY = 1e-4
+"""Share of the mobility left along an axis below which Λ⁻¹ is damped."""
+
+PIVOT_RATIO = 1e-10
+"""A row whose pivot falls below this share of its diagonal depends on the rows before it."""
+
 
 class Give(NamedTuple):
     """Which rows of ``G x`` measure how far one task can give way."""
@@ -46,6 +52,8 @@ class Tick:
     spaces: tuple[TaskSpace, ...]
     mode_rows: int
     """Number of constraint rows k, all constraints together."""
+    patterns: dict[str, ca.Sparsity]
+    """Which entries of H, A and C can differ from zero."""
     has_law: bool
     """Whether closed forms exist: one task space, one motion task, B = I."""
 
@@ -77,14 +85,17 @@ def build_tick(robot: Robot, mode: Mode, form: str = "reduced") -> Tick:
         **_law_outputs(law, form, qp.H.shape[0], robot.nu),
         "G": G,
         "memory": model.memory_after(),
-        "mobility_left": _stack(terms.mobility_left for terms in model.spaces.values()),
-        "row_pivots": _stack(split.pivot_ratios for split in splits),
+        "mobility_left": (mobility := _stack(t.mobility_left for t in model.spaces.values())),
+        "singular": _count_below(mobility, SINGULAR_MOBILITY),
+        "row_pivots": (pivots := _stack(split.pivot_ratios for split in splits)),
+        "dependent": _count_below(pivots, PIVOT_RATIO),
         "signals": _stack(ca.vec(ca.densify(value)) for value in signals.values()),
     }
     for i, (terms, split) in enumerate(
         zip(model.spaces.values(), model.splits.values(), strict=True)
     ):
-        outputs |= {f"Lambda{i}": terms.Lambda, f"P{i}": split.P, f"A{i}": split.A}
+        outputs |= {f"Lambda{i}": terms.Lambda, f"eta{i}": terms.eta(model.h)}
+        outputs |= {f"P{i}": split.P, f"A{i}": split.A}
     function = ca.Function(
         f"tick_{mode.name}",
         [model.dynamics.q, model.dynamics.v, model.u_vector, model.x_vector],
@@ -103,6 +114,7 @@ def build_tick(robot: Robot, mode: Mode, form: str = "reduced") -> Tick:
         gives=gives,
         spaces=tuple(model.spaces),
         mode_rows=sum(split.k for split in splits),
+        patterns={name: getattr(qp, name).sparsity() for name in ("H", "A", "C")},
         has_law=law is not None,
     )
 
@@ -118,9 +130,8 @@ def _qp_terms(model: ModeModel) -> QpTerms:
             g_a -= weight * (model.M_N @ objective.a_post)
         elif isinstance(objective, MotionObjective) and item.task.space:
             terms = model.spaces[item.task.space]
-            JT_Lambda = terms.J.T @ terms.Lambda
-            H_a += weight * (JT_Lambda @ terms.J)
-            g_a += weight * (JT_Lambda @ (terms.J_dot_v - objective.a_cmd))
+            H_a += weight * terms.task_inertia
+            g_a += weight * (terms.J.T @ (terms.Lambda @ (terms.J_dot_v - objective.a_cmd)))
         elif isinstance(objective, ForceObjective) and item.task.space:
             force_cost[item.task.space] = (weight, objective.F_cmd)
     H_lam, g_lam, AJ, b_c = [], [ca.SX(0, 1)], [ca.SX(0, nv)], [ca.SX(0, 1)]
@@ -223,6 +234,11 @@ def _check_determined(model: ModeModel) -> None:
             f"mode {model.mode.name!r}: motion tasks fix {moved} of {model.robot.nv} freedoms; "
             "add a posture task for the rest"
         )
+
+
+def _count_below(values: SX, threshold: float) -> SX:
+    """Return how many values are not above the threshold; a NaN is not."""
+    return values.numel() - ca.sum1(ca.if_else(values > threshold, 1, 0)) + ca.SX(0)
 
 
 def _stack(parts: object) -> SX:

@@ -1,5 +1,6 @@
 """The loop: guide, controller, plant, record."""
 
+import gc
 import time
 from collections.abc import Callable
 
@@ -24,6 +25,8 @@ def simulate(
     state = plant.reset(experiment.q_start)
     memory = controller.start(experiment.start_mode, experiment.q_start)
     clock, ticks = time.perf_counter_ns, 0
+    gc.collect()
+    gc.freeze()  # what the loop makes is short-lived; the rest need not be looked at again
     while state.time < experiment.horizon:
         directive = guide.direct(state)
         if directive is None:
@@ -41,4 +44,5 @@ def simulate(
         ticks += 1
         if watch is not None and ticks % 250 == 0:
             watch(state.time, directive.phase)
+    gc.unfreeze()
     return record.table()

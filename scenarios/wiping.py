@@ -117,7 +117,9 @@ class WipingGuide:
             self._phase, self._since = "touch", state.time
         elif leave.get(self._phase, False):
             order = (*self.phases, "done")
-            self._phase, self._since = order[order.index(self._phase) + 1], state.time
+            following = order[order.index(self._phase) + 1]
+            leaves = following == "lift" and self._plan.start_on_board  # a rigid board holds on
+            self._phase, self._since = ("done" if leaves else following), state.time
 
     def _set_point(self) -> Wrench:
         force = TOUCH_FORCE if self._phase == "release" else self._plan.force

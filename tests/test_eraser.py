@@ -108,9 +108,11 @@ class Faulty:
     last: PlantState | None = None
 
     def reset(self, q):
+        """Return the start."""
         return self.plant.reset(q)
 
     def step(self, tau):
+        """Return what the sensors claim."""
         assert np.isfinite(tau).all()
         state = self.plant.step(tau)
         self.count += 1

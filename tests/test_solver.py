@@ -8,10 +8,11 @@ from cases import SOLVERS
 
 from qpctrl import Controller, InputError
 from qpctrl.limit import UNBOUNDED
-from qpctrl.solver import QpData, Solution, make_solver, polish
+from qpctrl.polish import Polish
+from qpctrl.solver import QpData, Solution, make_solver
 
 FAST = 1e-5
-"""Interior-point back-ends stop here; `polish` takes them to 1e-9, which test_qp.py asserts."""
+"""Interior-point back-ends stop here; `Polish` takes them to 1e-9, which test_qp.py asserts."""
 
 EXACT = 1e-10
 """After a polish: one linear solve."""
@@ -84,7 +85,7 @@ def test_polish_makes_a_rough_point_exact() -> None:
         rough = Solution(
             expected.x + 1e-4, expected.y - 1e-3, expected.z + 1e-3 * np.array([1, -1, 0])
         )
-        repaired = polish(qp, rough)
+        repaired = Polish(2, 1, 3).on_active_set(qp, rough)
         assert repaired.x == pytest.approx(expected.x, abs=EXACT)
         assert repaired.y == pytest.approx(expected.y, abs=EXACT)
         assert repaired.z == pytest.approx(expected.z, abs=EXACT)
@@ -94,7 +95,9 @@ def test_polish_makes_a_rough_point_exact() -> None:
 def test_polish_does_not_invent_active_bounds() -> None:
     qp, _ = hand(1.0)
     wide = qp._replace(ub=np.array([3.0, 4.0, UNBOUNDED]))
-    repaired = polish(wide, Solution(np.array([1.999, 0.001]), np.array([0.9]), np.zeros(3)))
+    repaired = Polish(2, 1, 3).on_active_set(
+        wide, Solution(np.array([1.999, 0.001]), np.array([0.9]), np.zeros(3))
+    )
     assert repaired.x == pytest.approx([2.0, 0.0], abs=EXACT)
     assert not repaired.z.any()
 

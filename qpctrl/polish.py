@@ -1,0 +1,59 @@
+"""The exact solution on an active set: one linear solve on preallocated arrays.
+
+A solver's answer points to the active set and is accurate to its own tolerance, in bits that
+may differ from run to run. The KKT system on that set gives the answer to round-off, and the
+same bits for every solver and every run.
+"""
+
+import numpy as np
+from scipy.linalg.lapack import dgesv, dgetrs
+
+from qpctrl.arrays import Vector
+from qpctrl.solver import QpData, Solution
+
+
+class Polish:
+    """Solves the KKT system of a QP with some inequalities held as equalities."""
+
+    def __init__(self, variables: int, equalities: int, inequalities: int) -> None:
+        self._n, self._m = variables, equalities
+        size = variables + equalities + inequalities
+        self._K, self._rhs = np.zeros((size, size)), np.zeros(size)
+        self._none = np.empty(0, dtype=np.intp)
+
+    def on_active_set(self, qp: QpData, rough: Solution, *, refine: bool = True) -> Solution:
+        """Return the solution on the active set that ``rough`` points to.
+
+        A bound counts as active where its dual is larger than its slack; whether that guess was
+        right is judged by the residuals.
+        """
+        if not rough.z.dot(rough.z):
+            return self._solve(qp, self._none, qp.lb, refine)
+        Cx = qp.C @ rough.x
+        upper, lower = rough.z > qp.ub - Cx, -rough.z > Cx - qp.lb
+        active = (upper | lower).nonzero()[0]
+        return self._solve(qp, active, np.where(upper, qp.ub, qp.lb), refine)
+
+    def without_inequalities(self, qp: QpData) -> Solution:
+        """Return the minimiser of the QP without its inequalities."""
+        return self._solve(qp, self._none, qp.lb, refine=True)
+
+    def _solve(self, qp: QpData, active: np.ndarray, bound: Vector, refine: bool) -> Solution:
+        n, m = self._n, self._n + self._m
+        size = m + len(active)
+        K, rhs = self._K[:size, :size], self._rhs[:size]
+        K[:n, :n], K[n:m, :n], K[:n, n:m] = qp.H, qp.A, qp.A.T
+        rhs[:n], rhs[n:m] = qp.g, qp.b
+        rhs[:n] *= -1.0
+        if len(active):
+            K[m:, :n] = rows = qp.C[active]
+            K[:n, m:] = rows.T
+            rhs[m:] = bound[active]
+        z = np.zeros(len(bound))
+        factors, pivots, point, info = dgesv(K, rhs)
+        if info:
+            point.fill(np.nan)
+        elif refine:
+            point += dgetrs(factors, pivots, rhs - K @ point)[0]
+        z[active] = point[m:]
+        return Solution(point[:n], point[n:m], z)
