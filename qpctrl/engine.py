@@ -12,7 +12,7 @@ from qpctrl.errors import InputError, unknown_name
 from qpctrl.evaluator import Evaluator
 from qpctrl.mode import Mode
 from qpctrl.objective import Reference
-from qpctrl.polish import Polish
+from qpctrl.polish import Polish, active_set
 from qpctrl.rank import dependent_rows
 from qpctrl.report import ActiveLimit, TickReport, Yield
 from qpctrl.robot import Robot
@@ -113,8 +113,6 @@ class Engine:
         if self.terms["dependent"][0]:
             names = dependent_rows(self.tick, self.terms["row_pivots"])
             return self.refuse(time, Status.DEPENDENT_ROWS, names)
-        if not self.tick.has_law:
-            self._compare_with_kkt()
         solution, kkt = self._solve_qp()
         if not kkt <= self._tolerance:
             return self.refuse(time, Status.INACCURATE if solution.feasible else Status.INFEASIBLE)
@@ -164,11 +162,14 @@ class Engine:
         rough = self._solver.solve(self.qp)
         if not rough.feasible:
             return rough, math.inf
-        for refine in (False, True):
-            polished = self._polish.on_active_set(self.qp, rough, refine=refine)
-            kkt = self._residual(polished)
-            if kkt <= WELL_POLISHED:
+        if not rough.z.dot(rough.z) or not np.any(active_set(self.qp, rough)):
+            none = np.zeros(len(rough.z))
+            polished = Solution(self.terms["x_eq"].copy(), self.terms["y_eq"], none)
+            if (kkt := self._residual(polished)) <= WELL_POLISHED:
                 return polished, kkt
+        polished = self._polish.on_active_set(self.qp, rough)
+        if (kkt := self._residual(polished)) <= WELL_POLISHED:
+            return polished, kkt
         if (rough_kkt := self._residual(rough)) <= kkt:
             return rough, rough_kkt
         return polished, self._residual(polished)
@@ -181,12 +182,6 @@ class Engine:
         if not math.isfinite(self._point.dot(self._point) + out["tau"].dot(out["tau"])):
             return math.inf  # the maximum in the certificate passes over NaN
         return max(out["kkt"].tolist())
-
-    def _compare_with_kkt(self) -> None:
-        """Put the equality-constrained QP in the place of the closed form."""
-        x = self._polish.without_inequalities(self.qp).x
-        self.terms["x_law"][:] = x
-        self.terms["tau_hybrid"][:] = self.terms["C"][: self._robot.nu] @ x + self.terms["t"]
 
     def _report(self, time: float, solution: Solution, damping: float) -> TickReport:
         out, terms = self._certify.outputs, self.terms

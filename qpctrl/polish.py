@@ -19,26 +19,13 @@ class Polish:
         self._n, self._m = variables, equalities
         size = variables + equalities + inequalities
         self._K, self._rhs = np.zeros((size, size)), np.zeros(size)
-        self._none = np.empty(0, dtype=np.intp)
 
-    def on_active_set(self, qp: QpData, rough: Solution, *, refine: bool = True) -> Solution:
-        """Return the solution on the active set that ``rough`` points to.
+    def on_active_set(self, qp: QpData, rough: Solution) -> Solution:
+        """Return the solution on the active set that ``rough`` points to."""
+        upper, lower = active_set(qp, rough)
+        return self._solve(qp, (upper | lower).nonzero()[0], np.where(upper, qp.ub, qp.lb))
 
-        A bound counts as active where its dual is larger than its slack; whether that guess was
-        right is judged by the residuals.
-        """
-        if not rough.z.dot(rough.z):
-            return self._solve(qp, self._none, qp.lb, refine)
-        Cx = qp.C @ rough.x
-        upper, lower = rough.z > qp.ub - Cx, -rough.z > Cx - qp.lb
-        active = (upper | lower).nonzero()[0]
-        return self._solve(qp, active, np.where(upper, qp.ub, qp.lb), refine)
-
-    def without_inequalities(self, qp: QpData) -> Solution:
-        """Return the minimiser of the QP without its inequalities."""
-        return self._solve(qp, self._none, qp.lb, refine=True)
-
-    def _solve(self, qp: QpData, active: np.ndarray, bound: Vector, refine: bool) -> Solution:
+    def _solve(self, qp: QpData, active: np.ndarray, bound: Vector) -> Solution:
         n, m = self._n, self._n + self._m
         size = m + len(active)
         K, rhs = self._K[:size, :size], self._rhs[:size]
@@ -53,7 +40,17 @@ class Polish:
         factors, pivots, point, info = dgesv(K, rhs)
         if info:
             point.fill(np.nan)
-        elif refine:
+        else:
             point += dgetrs(factors, pivots, rhs - K @ point)[0]
         z[active] = point[m:]
         return Solution(point[:n], point[n:m], z)
+
+
+def active_set(qp: QpData, rough: Solution) -> tuple[np.ndarray, np.ndarray]:
+    """Return which upper and which lower bounds are active at a point.
+
+    A bound counts as active where its dual is larger than its slack; whether that guess was
+    right is judged by the residuals.
+    """
+    Cx = qp.C @ rough.x
+    return rough.z > qp.ub - Cx, -rough.z > Cx - qp.lb

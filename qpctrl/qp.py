@@ -14,6 +14,7 @@ import casadi as ca
 import numpy as np
 
 from qpctrl.arrays import Matrix
+from qpctrl.factor import Factor
 from qpctrl.limit import UNBOUNDED, Bounds
 from qpctrl.spatial import SX
 
@@ -32,6 +33,10 @@ class QpExpressions(NamedTuple):
     lb: SX
     ub: SX
     t: SX
+    x_eq: SX
+    """Minimiser without the inequalities."""
+    y_eq: SX
+    """Its multipliers of the equalities."""
 
 
 class RowNames(NamedTuple):
@@ -91,12 +96,13 @@ def reduced_qp(terms: QpTerms) -> tuple[QpExpressions, RowNames]:
     A = ca.vertcat(ca.horzcat(terms.AJ, ca.SX.zeros(terms.k, terms.k)), ca.SX(undriven) @ dynamics)
     b = ca.vertcat(terms.b_c, -(ca.SX(undriven) @ terms.h))
     torque = Bounds(terms.torque.lb - t, terms.torque.ub - t)
+    x, y = _without_inequalities(terms, A, b)
     qp = _arrange(terms, ca.SX(0, 0), A, b, T, torque)
     names = RowNames(
         terms.constraint_rows + tuple(f"undriven {i}" for i in range(len(undriven))),
         _inequality_names(terms),
     )
-    return qp._replace(t=t), names
+    return qp._replace(t=t, x_eq=x, y_eq=y), names
 
 
 def full_qp(terms: QpTerms) -> tuple[QpExpressions, RowNames]:
@@ -108,11 +114,15 @@ def full_qp(terms: QpTerms) -> tuple[QpExpressions, RowNames]:
         ca.horzcat(terms.M, -ca.SX(terms.B), terms.AJ.T),
     )
     b = ca.vertcat(terms.b_c, -terms.h)
+    reduced, _ = reduced_qp(terms)
+    a, lam = ca.vertsplit(reduced.x_eq, [0, terms.nv, terms.nv + k])
+    tau = reduced.C[:nu, :] @ reduced.x_eq + reduced.t
+    y_c, y_undriven = ca.vertsplit(reduced.y_eq, [0, k, k + terms.nv - nu])
+    y = ca.vertcat(y_c, ca.SX(_complement(terms.B)).T @ y_undriven)
     qp = _arrange(terms, ca.SX.zeros(nu, nu), A, b, select, terms.torque)
     dynamics = tuple(f"dynamics {name}" for name in terms.joint_names)
-    return qp._replace(t=ca.SX.zeros(nu)), RowNames(
-        terms.constraint_rows + dynamics, _inequality_names(terms)
-    )
+    whole = qp._replace(t=ca.SX.zeros(nu), x_eq=ca.vertcat(a, tau, lam), y_eq=y)
+    return whole, RowNames(terms.constraint_rows + dynamics, _inequality_names(terms))
 
 
 FORMS = {"reduced": reduced_qp, "full": full_qp}
@@ -135,7 +145,34 @@ def _arrange(
         lb=ca.vertcat(torque.lb, terms.acceleration.lb, ca.SX.zeros(len(pushes))),
         ub=ca.vertcat(torque.ub, terms.acceleration.ub, UNBOUNDED * ca.SX.ones(len(pushes))),
         t=ca.SX(0, 0),
+        x_eq=ca.SX(0, 0),
+        y_eq=ca.SX(0, 0),
     )
+
+
+def _without_inequalities(terms: QpTerms, A: SX, b: SX) -> tuple[SX, SX]:
+    """Return x = (a, λ) and multipliers of the reduced form with its equalities alone.
+
+    With H = diag(H_a, H_λ):  y = −(A H⁻¹ Aᵀ)⁻¹ (b + A H⁻¹ g),  x = −H⁻¹ (g + Aᵀ y).
+    """
+    nv = terms.nv
+    H_a = Factor(terms.H_a)
+    H_lam = Factor(terms.H_lam) if terms.k else None
+
+    def solve(rhs: SX) -> SX:
+        a, lam = ca.vertsplit(rhs, [0, nv, nv + terms.k])
+        return ca.vertcat(H_a.solve(a), H_lam.solve(lam)) if H_lam else H_a.solve(a)
+
+    g = ca.vertcat(terms.g_a, terms.g_lam)
+    if A.shape[0] == 0:
+        x, y = -solve(g), ca.SX(0, 1)
+    else:
+        S = H_a.congruence(A[:, :nv].T)
+        if H_lam:
+            S = S + H_lam.congruence(A[:, nv:].T)
+        y = -Factor(S).solve(b + A @ solve(g))
+        x = -solve(g + A.T @ y)
+    return x, y
 
 
 def _inequality_names(terms: QpTerms) -> tuple[str, ...]:

@@ -17,7 +17,7 @@ from qpctrl.layout import Layout
 from qpctrl.mode import Mode
 from qpctrl.model import ModeModel
 from qpctrl.objective import ForceObjective, MotionObjective, PostureObjective
-from qpctrl.qp import FORMS, QpTerms, RowNames
+from qpctrl.qp import FORMS, QpExpressions, QpTerms, RowNames
 from qpctrl.robot import Robot
 from qpctrl.space import TaskSpace
 from qpctrl.spatial import SX
@@ -82,7 +82,7 @@ def build_tick(robot: Robot, mode: Mode, form: str = "reduced") -> Tick:
     splits = [split for split in model.splits.values() if split.k]
     outputs = {
         **qp._asdict(),
-        **_law_outputs(law, form, qp.H.shape[0], robot.nu),
+        **_law_outputs(law, form, qp),
         "G": G,
         "memory": model.memory_after(),
         "mobility_left": (mobility := _stack(t.mobility_left for t in model.spaces.values())),
@@ -189,10 +189,12 @@ def _law(model: ModeModel) -> LawTorque | None:
     )
 
 
-def _law_outputs(law: LawTorque | None, form: str, size: int, nu: int) -> dict[str, SX]:
-    if law is None:
-        none = {"tau_textbook": nu, "tau_hybrid": nu, "curvature": nu, "x_law": size}
-        return {name: ca.SX.zeros(length) for name, length in none.items()}
+def _law_outputs(law: LawTorque | None, form: str, qp: QpExpressions) -> dict[str, SX]:
+    if law is None:  # the equality-constrained QP takes the place of the closed form
+        nu = qp.t.shape[0]
+        tau = qp.C[:nu, :] @ qp.x_eq + qp.t
+        none = ca.SX.zeros(nu)
+        return {"tau_textbook": tau, "tau_hybrid": tau, "curvature": none, "x_law": qp.x_eq}
     middle = law.hybrid if form == "full" else ca.SX(0, 1)
     return {
         "tau_textbook": law.textbook,

@@ -5,6 +5,7 @@ Exit codes: 0 all of the command's own criteria hold, 1 they do not, 2 bad input
 
 import dataclasses
 import json
+import math
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -164,7 +165,7 @@ def _print_outcome(outcome: Outcome, folder: Path) -> None:
         )
     console.print(f"[bold]{summary['scenario']}[/] {verdict}")
     console.print(table)
-    metrics = summary["metrics"]
+    metrics = {name: math.nan if v is None else v for name, v in summary["metrics"].items()}
     console.print(
         f"tick {metrics['tick_us_median']:.0f} µs median, {metrics['tick_us_p99']:.0f} µs p99; "
         f"run {metrics['realtime_factor']:.1f} × real time"

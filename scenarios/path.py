@@ -19,41 +19,46 @@ class PlanarMotion(NamedTuple):
 
 
 def wiping_loops(
-    speed: float, duration: float, dt: float, *, radius: float = 0.08, drift: float = 0.08
+    speed: float, duration: float, dt: float, *, radius: float = 0.08, sway: float = 0.12
 ) -> PlanarMotion:
-    """Return overlapping circles that drift sideways, as a hand wipes a board.
+    """Return overlapping circles that sway sideways, as a hand wipes a board.
 
-    c(u) = (r cos u, r sin u + drift · u / 2π), centred on its own extent, with
-    u̇ = s / |c′(u)| for the travelled speed s(t), which ramps up and down in half a second
-    (or a quarter of the duration).
+    c(u) = (r cos u, r sin u − w cos νu), with w ν chosen so that neighbouring circles overlap
+    by half, and u̇ = s / |c′(u)| for the travelled speed s(t), which ramps up and down in half a
+    second (or a quarter of the duration). However long it lasts, the path stays within r of
+    ±w.
 
     Args:
         speed: speed along the path [m/s].
         duration: time from standstill to standstill [s].
         dt: sampling period [s].
-        radius: radius of a circle [m].
-        drift: sideways advance per turn [m].
+        radius: radius r of a circle [m].
+        sway: largest distance w of its centre from the middle [m].
     """
     time = np.arange(round(duration / dt) + 1) * dt
     s, s_dot = _trapezoid(time, speed, min(0.5, duration / 4))
-    pitch = drift / (2 * np.pi)
+    nu = radius / (2 * np.pi * sway)
 
     def slope(u: Vector) -> Matrix:
-        return np.stack([-radius * np.sin(u), radius * np.cos(u) + pitch], axis=-1)
+        return np.stack(
+            [-radius * np.sin(u), radius * np.cos(u) + sway * nu * np.sin(nu * u)], axis=-1
+        )
 
     travelled = np.concatenate([[0.0], np.cumsum((s[1:] + s[:-1]) / 2 * dt)])
-    fine = np.linspace(0.0, 1.05 * travelled[-1] / (radius - pitch) + 1e-3, 200_001)
+    turns = 1.3 * travelled[-1] / (2 * np.pi * radius) + 1
+    fine = np.linspace(0.0, 2 * np.pi * turns, round(20_000 * turns))
     rate = np.linalg.norm(slope(fine), axis=-1)
     length = np.concatenate([[0.0], np.cumsum((rate[1:] + rate[:-1]) / 2 * np.diff(fine))])
     u = np.interp(travelled, length, fine)
     c1 = slope(u)
-    c2 = np.stack([-radius * np.cos(u), -radius * np.sin(u)], axis=-1)
+    c2 = np.stack(
+        [-radius * np.cos(u), -radius * np.sin(u) + sway * nu**2 * np.cos(nu * u)], axis=-1
+    )
     norm = np.linalg.norm(c1, axis=-1)
     u_dot = s / norm
     u_ddot = s_dot / norm - s * u_dot * (c1 * c2).sum(-1) / norm**3
-    p = np.stack([radius * np.cos(u), radius * np.sin(u) + pitch * u], axis=-1)
     return PlanarMotion(
-        p=p - (p.min(0) + p.max(0)) / 2,
+        p=np.stack([radius * np.cos(u), radius * np.sin(u) - sway * np.cos(nu * u)], axis=-1),
         v=c1 * u_dot[:, None],
         a=c2 * u_dot[:, None] ** 2 + c1 * u_ddot[:, None],
     )

@@ -15,6 +15,7 @@ from qpctrl.tick import Tick as ControlTick
 from scenarios.plant import PlantState
 from scenarios.scenario import Directive
 
+PIECE = 4096  # ticks in one piece of the table
 SCALARS = (
     *("time", "law_gap", "textbook_gap", "unexplained_gap", "curvature"),
     *("damping", "kkt_residual", "tick_us"),
@@ -37,7 +38,7 @@ class Tick:
 
 
 class Record:
-    """Collects ticks in growing arrays and turns them into a table."""
+    """Collects ticks in fixed arrays, flushed into table pieces whenever they are full."""
 
     def __init__(self, controller: Controller) -> None:
         robot = controller.robot
@@ -61,16 +62,18 @@ class Record:
         for mode, names in self._signals.items():
             widths[f"signals {mode}"] = len(names)
             widths[f"lam {mode}"] = len(self._multipliers[mode])
-        self._arrays = {name: np.full((4096, width), np.nan) for name, width in widths.items()}
+        self._widths = widths
+        self._arrays = self._fresh()
         self._words: dict[str, list[str]] = {name: [] for name in WORDS}
         self._marks: dict[str, list[bool]] = {name: [] for name in MARKS}
         self._count = 0
+        self._pieces: list[pl.DataFrame] = []
 
     def add(self, tick: Tick) -> None:
         """Append one tick."""
+        if self._count == PIECE:
+            self._flush()
         i, arrays, report, state = self._count, self._arrays, tick.report, tick.state
-        if i == len(arrays["time"]):
-            self._arrays = arrays = {name: _doubled(array) for name, array in arrays.items()}
         for name in ("law_gap", "textbook_gap", "unexplained_gap", "curvature", "damping"):
             arrays[name][i] = getattr(report, name)
         arrays["time"][i], arrays["tick_us"][i] = state.time, tick.tick_us
@@ -97,6 +100,13 @@ class Record:
 
     def table(self) -> pl.DataFrame:
         """Return one row a tick; vector columns are named ``quantity.component``."""
+        self._flush()
+        return pl.concat(self._pieces, rechunk=False)
+
+    def _fresh(self) -> dict[str, Matrix]:
+        return {name: np.full((PIECE, width), np.nan) for name, width in self._widths.items()}
+
+    def _flush(self) -> None:
         n = self._count
         columns: dict[str, Vector | list[str] | list[bool]] = {
             "time": self._arrays["time"][:n, 0],
@@ -111,7 +121,12 @@ class Record:
         )
         columns |= self._merged("signals", self._signals)
         columns |= {name: self._arrays[name][:n, 0] for name in SCALARS if name != "time"}
-        return pl.DataFrame(columns)
+        kinds = dict.fromkeys(WORDS, pl.String) | dict.fromkeys(MARKS, pl.Boolean)
+        self._pieces.append(pl.DataFrame(columns, schema_overrides=kinds))
+        self._words = {name: [] for name in WORDS}
+        self._marks = {name: [] for name in MARKS}
+        self._arrays = self._fresh()  # polars may have kept the old ones
+        self._count = 0
 
     def _merged(self, kind: str, names: Mapping[str, Sequence[str]]) -> dict[str, Vector]:
         """Return the columns of all modes; what a mode does not have is NaN in its ticks."""
@@ -129,10 +144,6 @@ def _signal_names(tick: ControlTick) -> list[str]:
     return [f"{name}.{j}" for name, size in tick.signals.items() for j in range(size)]
 
 
-def _doubled(array: Matrix) -> Matrix:
-    return np.vstack([array, np.full_like(array, np.nan)])
-
-
 def fallback_count(table: pl.DataFrame) -> int:
     """Return how many ticks sent the fallback torque."""
     return int((table["status"] != Status.OK.name).sum())
@@ -140,4 +151,4 @@ def fallback_count(table: pl.DataFrame) -> int:
 
 def write_parquet(table: pl.DataFrame, path: Path) -> None:
     """Write the table; every byte but the timing columns repeats from run to run."""
-    table.write_parquet(path, compression="zstd", statistics=False)
+    table.write_parquet(path, compression="zstd", statistics=False, row_group_size=2 * PIECE)

@@ -110,6 +110,7 @@ def write_outcome(outcome: Outcome, folder: Path) -> None:
     Raises:
         InputError: the folder cannot be written.
     """
+    writable_folder(folder)
     try:
         staging = Path(tempfile.mkdtemp(dir=folder, prefix=".writing-"))
         try:

@@ -107,5 +107,5 @@ class ForceTask:
         return TaskExpressions(
             objective=ForceObjective(F_cmd, F_ext),
             memory={"F_des": F_des, "integral": integral, "F_ext": F_ext},
-            signals={"F_des": F_des, "F_meas": u["F_meas"], "F_cmd": F_cmd, "F_ext": F_ext},
+            signals={"F_des": F_des, "F_cmd": F_cmd, "F_ext": F_ext},
         )
