@@ -8,6 +8,10 @@ from qpctrl.arrays import Array, Vector
 from qpctrl.status import Status
 
 
+NEGLIGIBLE = 1e-9
+"""What a task gave way, in its own unit, below which `explain` is silent."""
+
+
 class ActiveLimit(NamedTuple):
     """A row of the QP that binds."""
 
@@ -74,7 +78,7 @@ class TickReport(NamedTuple):
     @property
     def kkt_residual(self) -> float:
         """Largest of the four residuals."""
-        return float(self.kkt.max())
+        return float(max(self.kkt.tolist()))
 
     @property
     def saturated(self) -> bool:
@@ -93,7 +97,7 @@ class TickReport(NamedTuple):
             said.append(f"{limit.name} at its {side} limit (dual {abs(limit.dual):.3g})")
         for lost in self.yields:
             largest = int(np.abs(lost.amount).argmax())
-            if (amount := lost.amount[largest]) != 0:
+            if abs(amount := lost.amount[largest]) > NEGLIGIBLE:
                 said.append(f"task {lost.task} gave way by {amount:+.3g} {lost.unit}")
         if self.curvature > 1e-12:
             said.append(

@@ -62,11 +62,11 @@ class Eraser:
     """Integral force gain [1/s]."""
     damping: float = 20.0
     """Velocity damping of the force directions [1/s]."""
-    k_p: float = 900.0
+    k_p: float = 1600.0
     """Stiffness of the motion task [1/s²]."""
     k_i: float = 0.0
     """Integral gain of the motion task [1/s³]."""
-    k_d: float = 60.0
+    k_d: float = 80.0
     """Damping of the motion task [1/s]."""
 
     def __post_init__(self) -> None:

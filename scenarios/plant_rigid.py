@@ -9,6 +9,7 @@ import pinocchio as pin
 
 from qpctrl.arrays import Matrix, Vector
 from qpctrl.constraint import Constraint, row_function
+from qpctrl.evaluator import Evaluator
 from qpctrl.robot import Robot
 from scenarios.plant import PlantState
 
@@ -23,8 +24,9 @@ class RigidPlant:
     def __init__(self, robot: Robot, constraint: Constraint, *, dt: float = 1e-3) -> None:
         self._model, self._data = robot.model, robot.model.createData()
         self._frame, self._index = robot.frame_id(constraint.space.frame), constraint.space.index
-        self._rows = row_function(constraint)
-        self._inputs = list(constraint.inputs().values())
+        self._rows = Evaluator(row_function(constraint))
+        for name, value in constraint.inputs().items():
+            self._rows.inputs[name][...] = value
         self._dt = dt
         self._time = 0.0
         self._q, self._v = np.zeros(robot.nv), np.zeros(robot.nv)
@@ -77,9 +79,12 @@ class RigidPlant:
         drift = pin.getFrameAcceleration(model, data, self._frame, local).vector
         pin.updateFramePlacement(model, data, self._frame)
         X_WF = data.oMf[self._frame]
-        rows = self._rows(X_WF.rotation, X_WF.translation, J @ v, *self._inputs)
-        A, A_dot_V, v_c_dot = (np.asarray(value) for value in rows)
-        return M, h, J[self._index], drift[self._index], A, A_dot_V.ravel(), v_c_dot.ravel()
+        rows = self._rows
+        rows.inputs["R_WF"][...], rows.inputs["p_WF"][:] = X_WF.rotation, X_WF.translation
+        rows.inputs["V"][:] = J @ v
+        rows()
+        A, A_dot_V, v_c_dot = rows.outputs.values()
+        return M, h, J[self._index], drift[self._index], A, A_dot_V, v_c_dot
 
     def _state(self, wrench: Vector) -> PlantState:
         return PlantState(self._time, self._q.copy(), self._v.copy(), wrench, touching=True)

@@ -1,13 +1,12 @@
 """The record of a run: one row a tick, written to Parquet in one piece."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import polars as pl
 
-from qpctrl.arrays import Matrix, Vector
+from qpctrl.arrays import Vector
 from qpctrl.controller import Controller
 from qpctrl.report import Command, TickReport
 from qpctrl.status import Status
@@ -17,16 +16,15 @@ from scenarios.scenario import Directive
 
 PIECE = 4096  # ticks in one piece of the table
 SCALARS = (
-    *("time", "law_gap", "textbook_gap", "unexplained_gap", "curvature"),
-    *("damping", "kkt_residual", "tick_us"),
+    *("time", "law_gap", "textbook_gap", "unexplained_gap"),
+    *("curvature", "damping", "kkt_residual", "tick_us"),
 )
 WORDS = ("phase", "mode", "status", "active", "explanation")
 MARKS = ("fallback", "touching", "saturated")
 WRENCH = ("fx", "fy", "fz", "mx", "my", "mz")
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Tick:
+class Tick(NamedTuple):
     """Everything known at one tick."""
 
     directive: Directive
@@ -38,110 +36,80 @@ class Tick:
 
 
 class Record:
-    """Collects ticks in fixed arrays, flushed into table pieces whenever they are full."""
+    """Collects ticks, one packed row each, and turns them into table pieces now and then."""
 
     def __init__(self, controller: Controller) -> None:
         robot = controller.robot
-        joints = robot.joint_names
-        self._vectors = {
+        joints, actuators = robot.joint_names, robot.actuator_names
+        vectors = {
             **dict.fromkeys(("q", "v"), joints),
-            **dict.fromkeys(("tau", "tau_qp", "tau_hybrid", "tau_textbook"), robot.actuator_names),
+            **dict.fromkeys(("tau", "tau_qp", "tau_hybrid", "tau_textbook"), actuators),
             "tau_delivered": joints,
             "wrench_meas": WRENCH,
         }
-        self._signals = {
-            name: _signal_names(engine.tick) for name, engine in controller.engines.items()
-        }
-        self._multipliers = {
-            name: engine.tick.rows.equality[: engine.tick.mode_rows]
-            for name, engine in controller.engines.items()
-        }
+        self._common = [*SCALARS, *(f"{name}.{part}" for name, v in vectors.items() for part in v)]
+        self._own = {mode: _own_columns(e.tick) for mode, e in controller.engines.items()}
         self._B = robot.B
-        widths = {name: len(parts) for name, parts in self._vectors.items()}
-        widths |= dict.fromkeys(SCALARS, 1)
-        for mode, names in self._signals.items():
-            widths[f"signals {mode}"] = len(names)
-            widths[f"lam {mode}"] = len(self._multipliers[mode])
-        self._widths = widths
-        self._arrays = self._fresh()
-        self._words: dict[str, list[str]] = {name: [] for name in WORDS}
-        self._marks: dict[str, list[bool]] = {name: [] for name in MARKS}
-        self._count = 0
         self._pieces: list[pl.DataFrame] = []
+        self._start_piece()
 
     def add(self, tick: Tick) -> None:
         """Append one tick."""
-        if self._count == PIECE:
-            self._flush()
-        i, arrays, report, state = self._count, self._arrays, tick.report, tick.state
-        for name in ("law_gap", "textbook_gap", "unexplained_gap", "curvature", "damping"):
-            arrays[name][i] = getattr(report, name)
-        arrays["time"][i], arrays["tick_us"][i] = state.time, tick.tick_us
-        arrays["kkt_residual"][i] = report.kkt_residual
-        arrays["q"][i], arrays["v"][i] = state.q, state.v
-        arrays["wrench_meas"][i] = state.wrench_meas
-        arrays["tau"][i], arrays["tau_qp"][i] = tick.command.tau, report.tau_qp
-        arrays["tau_hybrid"][i], arrays["tau_textbook"][i] = report.tau_hybrid, report.tau_textbook
-        arrays["tau_delivered"][i] = self._B @ tick.command.tau
-        arrays[f"signals {report.mode}"][i] = report.signals
-        arrays[f"lam {report.mode}"][i] = report.lam
-        eventful = report.saturated or report.damping > 0 or tick.command.fallback
+        if len(self._rows) == PIECE:
+            self._finish_piece()
+        command, report, state = tick.command, tick.report, tick.state
+        scalars = (
+            *(state.time, report.law_gap, report.textbook_gap, report.unexplained_gap),
+            *(report.curvature, report.damping, report.kkt_residual, tick.tick_us),
+        )
+        vectors = (
+            *(scalars, state.q, state.v, command.tau, report.tau_qp, report.tau_hybrid),
+            *(report.tau_textbook, self._B @ command.tau, state.wrench_meas),
+            *(report.lam, report.signals),
+        )
+        self._rows.append(np.concatenate(vectors))
+        eventful = report.saturated or report.damping > 0 or command.fallback
         words = (
             *(tick.directive.phase, report.mode, report.status.name),
-            ", ".join(limit.name for limit in report.active),
+            ", ".join(limit.name for limit in report.active) if eventful else "",
             report.explain() if eventful else "",
         )
-        for name, word in zip(WORDS, words, strict=True):
-            self._words[name].append(word)
-        marks = (tick.command.fallback, state.touching, report.saturated)
-        for name, mark in zip(MARKS, marks, strict=True):
-            self._marks[name].append(mark)
-        self._count += 1
+        self._words.append(words)
+        self._marks.append((command.fallback, state.touching, report.saturated))
 
     def table(self) -> pl.DataFrame:
         """Return one row a tick; vector columns are named ``quantity.component``."""
-        self._flush()
+        self._finish_piece()
         return pl.concat(self._pieces, rechunk=False)
 
-    def _fresh(self) -> dict[str, Matrix]:
-        return {name: np.full((PIECE, width), np.nan) for name, width in self._widths.items()}
+    def _start_piece(self) -> None:
+        self._rows: list[Vector] = []
+        self._words: list[tuple[str, ...]] = []
+        self._marks: list[tuple[bool, ...]] = []
 
-    def _flush(self) -> None:
-        n = self._count
-        columns: dict[str, Vector | list[str] | list[bool]] = {
-            "time": self._arrays["time"][:n, 0],
-            **self._words,
-            **self._marks,
-        }
-        for name, parts in self._vectors.items():
-            for j, part in enumerate(parts):
-                columns[f"{name}.{part}"] = self._arrays[name][:n, j]
-        columns |= self._merged(
-            "lam", {m: [f"lam.{r}" for r in v] for m, v in self._multipliers.items()}
-        )
-        columns |= self._merged("signals", self._signals)
-        columns |= {name: self._arrays[name][:n, 0] for name in SCALARS if name != "time"}
+    def _finish_piece(self) -> None:
+        """Unpack the rows; what a mode does not have is NaN in its ticks."""
+        names = dict.fromkeys((*self._common, *(n for own in self._own.values() for n in own)))
+        places = {name: i for i, name in enumerate(names)}
+        values = np.full((len(names), len(self._rows)), np.nan)
+        for mode, own in self._own.items():
+            at = [i for i, words in enumerate(self._words) if words[1] == mode]
+            if at:
+                columns = [places[name] for name in (*self._common, *own)]
+                values[np.ix_(columns, at)] = np.array([self._rows[i] for i in at]).T
+        words = {name: [row[i] for row in self._words] for i, name in enumerate(WORDS)}
+        marks = {name: [row[i] for row in self._marks] for i, name in enumerate(MARKS)}
+        numbers = dict(zip(names, values, strict=True))
         kinds = dict.fromkeys(WORDS, pl.String) | dict.fromkeys(MARKS, pl.Boolean)
-        self._pieces.append(pl.DataFrame(columns, schema_overrides=kinds))
-        self._words = {name: [] for name in WORDS}
-        self._marks = {name: [] for name in MARKS}
-        self._arrays = self._fresh()  # polars may have kept the old ones
-        self._count = 0
-
-    def _merged(self, kind: str, names: Mapping[str, Sequence[str]]) -> dict[str, Vector]:
-        """Return the columns of all modes; what a mode does not have is NaN in its ticks."""
-        columns: dict[str, Vector] = {}
-        for mode, parts in names.items():
-            values = self._arrays[f"{kind} {mode}"][: self._count]
-            for j, part in enumerate(parts):
-                known = columns.get(part)
-                fresh = values[:, j]
-                columns[part] = fresh if known is None else np.where(np.isnan(known), fresh, known)
-        return columns
+        table = pl.DataFrame({**words, **marks, **numbers}, schema_overrides=kinds)
+        self._pieces.append(table.select("time", pl.exclude("time")))
+        self._start_piece()
 
 
-def _signal_names(tick: ControlTick) -> list[str]:
-    return [f"{name}.{j}" for name, size in tick.signals.items() for j in range(size)]
+def _own_columns(tick: ControlTick) -> list[str]:
+    """Return the columns that only this mode has: multipliers and signals."""
+    multipliers = [f"lam.{row}" for row in tick.rows.equality[: tick.mode_rows]]
+    return multipliers + [f"{name}.{j}" for name, n in tick.signals.items() for j in range(n)]
 
 
 def fallback_count(table: pl.DataFrame) -> int:

@@ -36,15 +36,38 @@ class WrenchSensor:
         """Describe the tool.
 
         Args:
-            tool: inertia of everything beyond the sensor, in the sensor frame S.
+            tool: inertia Y of everything beyond the sensor, in the sensor frame S.
             X_ST: pose of the tool frame T in S.
         """
-        self._Y, self._X_TS = tool, X_ST.inverse()
+        to_tool = X_ST.inverse().toDualActionMatrix()
+        turning = np.stack([_gyroscopic(tool, i, j) for i, j in _PAIRS], axis=1)
+        self._map = to_tool @ np.hstack([np.eye(6), -tool.matrix(), -turning])
 
     def wrench_on_env(self, reading: ToolReading) -> Wrench:
-        """Return the wrench of robot on environment (6) [N, Nm], at T along its axes."""
-        V = pin.Motion(np.zeros(3), reading.angular_velocity)
-        A = pin.Motion(reading.acceleration, reading.angular_acceleration)
-        inertial = self._Y * A + V.cross(self._Y * V)
-        measured = pin.Force(reading.force, reading.moment)
-        return self._X_TS.act(measured - inertial).vector
+        """Return the wrench of robot on environment (6) [N, Nm], at T along its axes.
+
+        Linear in forces and accelerations, and in the products ω_i ω_j of V ×* Y V.
+        """
+        x, y, z = reading.angular_velocity.tolist()
+        products = (x * x, y * y, z * z, x * y, x * z, y * z)
+        return self._map @ np.concatenate(
+            (
+                *(reading.force, reading.moment),
+                *(reading.acceleration, reading.angular_acceleration, products),
+            )
+        )
+
+
+_PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+
+
+def _gyroscopic(tool: pin.Inertia, i: int, j: int) -> Wrench:
+    """Return the coefficient (6) of ω_i ω_j in V ×* Y V, V = (0, ω)."""
+
+    def wrench(*axes: int) -> Wrench:
+        omega = np.zeros(3)
+        omega[list(axes)] = 1.0
+        V = pin.Motion(np.zeros(3), omega)
+        return V.cross(tool * V).vector
+
+    return wrench(i) if i == j else wrench(i, j) - wrench(i) - wrench(j)
