@@ -8,9 +8,9 @@ export OPENBLAS_NUM_THREADS ?= 1
 .PHONY: demo test check format install clean
 
 demo: install ## run the main job and say where its report is
-	$(BIN)/qpctrl run eraser --out runs/eraser
-	@echo
 	$(BIN)/qpctrl compare --states 100
+	@echo
+	$(BIN)/qpctrl run eraser --out runs/eraser
 
 test: install ## run all tests
 	$(BIN)/python -m pytest -n 2

@@ -17,7 +17,7 @@ from qpctrl.qp import FORMS
 from qpctrl.rank import DependentRows, independent
 from qpctrl.report import Command, TickReport
 from qpctrl.robot import Robot
-from qpctrl.solver import make_solver
+from qpctrl.solver import NEED_STRICT_CONVEXITY, make_solver
 from qpctrl.status import Status
 
 Law = Literal["qp", "hybrid", "textbook"]
@@ -92,6 +92,11 @@ class Controller:
         """
         if form not in FORMS:
             raise unknown_name("form", form, FORMS)
+        if form == "full" and solver in NEED_STRICT_CONVEXITY:
+            raise InputError(
+                f"solver {solver!r} cannot solve the full form, whose Hessian is singular in τ; "
+                "use form 'reduced' or another solver"
+            )
         if law not in ("qp", "hybrid", "textbook"):
             raise unknown_name("law", law, ("qp", "hybrid", "textbook"))
         if not modes:

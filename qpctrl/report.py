@@ -7,7 +7,6 @@ import numpy as np
 from qpctrl.arrays import Array, Vector
 from qpctrl.status import Status
 
-
 NEGLIGIBLE = 1e-9
 """What a task gave way, in its own unit, below which `explain` is silent."""
 

@@ -137,6 +137,10 @@ def _nothing(qp: QpData) -> Solution:
     return Solution(nan, np.full(len(qp.b), np.nan), np.full(len(qp.lb), np.nan), feasible=False)
 
 
+NEED_STRICT_CONVEXITY = frozenset({"quadprog"})
+"""Back-ends that cannot solve the full form, whose Hessian has a zero block for τ."""
+
+
 @functools.cache
 def solver_names() -> tuple[str, ...]:
     """Return the names that `make_solver` accepts on this machine."""

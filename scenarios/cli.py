@@ -20,6 +20,7 @@ from scenarios.catalogue import SCENARIOS
 from scenarios.command import interactive, merged, parse
 from scenarios.compare import CASES, Row, compare
 from scenarios.eraser import Eraser
+from scenarios.report import label
 from scenarios.run import Outcome, run_scenario
 from scenarios.scenario import Options, Scenario
 
@@ -161,7 +162,7 @@ def _print_outcome(outcome: Outcome, folder: Path) -> None:
         shown = "none" if value is None else f"{value:.4g}"
         mark = "[green]ok[/]" if criterion["passed"] else "[red]missed[/]"
         table.add_row(
-            criterion["name"], shown, f"≤ {criterion['limit']:g}", criterion["unit"], mark
+            label(criterion["name"]), shown, f"≤ {criterion['limit']:g}", criterion["unit"], mark
         )
     console.print(f"[bold]{summary['scenario']}[/] {verdict}")
     console.print(table)

@@ -106,7 +106,7 @@ class Eraser:
             guide=WipingGuide(plan),
             start_mode="contact" if rigid else "free",
             q_start=robot.home,
-            horizon=self.duration + 12.0,
+            horizon=plan.longest,
             geometry={"X_WE": world.X_WE.homogeneous, "loops": plan.loops.p},
         )
 

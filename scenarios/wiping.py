@@ -14,8 +14,8 @@ from tasks import ForceReference, MotionReference
 
 APPROACH_TIME = 1.0  # s, from home to just in front of the board
 STAND_OFF = 0.006  # m, where the slow touch begins
-TOUCH_SPEED = 0.02  # m/s
-TOUCH_FORCE = 0.5  # N, measured, that counts as contact
+TOUCH_SPEED = 0.02  # m/s at most; a light touch is slower
+TOUCH_FORCE = 0.5  # N at most, measured, that counts as contact
 LOST_TIME = 0.05  # s without force after which the tool feels for the board again
 PRESS_TIME = 1.2  # s, to ramp the force and settle
 RELEASE_TIME = 0.3  # s, to ramp the force down
@@ -60,6 +60,21 @@ class WipingPlan:
         for name, planar in (("p_E", loops.p), ("v_E", loops.v), ("a_E", loops.a)):
             object.__setattr__(self, name, np.pad(planar, ((0, 0), (0, 1))))
 
+    @property
+    def touch_speed(self) -> float:
+        """Speed of the touch [m/s], slow enough for the impact to stay below the set-point."""
+        return min(TOUCH_SPEED, 2e-3 * self.force)
+
+    @property
+    def touch_force(self) -> float:
+        """Measured force [N] that counts as contact."""
+        return min(TOUCH_FORCE, self.force / 10)
+
+    @property
+    def longest(self) -> float:
+        """Time [s] after which the job counts as failed."""
+        return self.duration + 10.0 + STAND_OFF / self.touch_speed
+
 
 class WipingGuide:
     """Walks through the phases; advances on time and on measured force.
@@ -89,9 +104,9 @@ class WipingGuide:
     def direct(self, state: PlantState) -> Directive | None:
         """Return what to do at ``state``, or none when the eraser is lifted off."""
         pressing = float(state.wrench_meas[2])
-        if pressing > TOUCH_FORCE:
+        if pressing > self._plan.touch_force:
             self._last_felt = state.time
-        self._advance(state, felt=pressing > TOUCH_FORCE)
+        self._advance(state, felt=pressing > self._plan.touch_force)
         t = state.time - self._since
         if self._phase == "done":
             return None
@@ -122,7 +137,7 @@ class WipingGuide:
             self._phase, self._since = ("done" if leaves else following), state.time
 
     def _set_point(self) -> Wrench:
-        force = TOUCH_FORCE if self._phase == "release" else self._plan.force
+        force = self._plan.touch_force if self._phase == "release" else self._plan.force
         return np.array([0.0, 0.0, force, 0.0, 0.0, 0.0])
 
     def _approach(self, t: float) -> MotionReference:
@@ -132,7 +147,7 @@ class WipingGuide:
         return self._moving(start + s * way, s_dot * way, s_ddot * way)
 
     def _touch(self, t: float) -> MotionReference:
-        inward = np.array([0.0, 0.0, TOUCH_SPEED])
+        inward = np.array([0.0, 0.0, self._plan.touch_speed])
         s, s_dot, s_ddot = _set_off(t)
         return self._moving(self._before_board + s * inward, s_dot * inward, s_ddot * inward)
 

@@ -36,6 +36,7 @@ def wiping(outcome: Outcome) -> pl.DataFrame:
     [
         {"friction": 0.0},
         {"force": 20.0, "speed": 0.1},
+        {"force": 2.0},
         {"robot": "ur5"},
         {"plant": "rigid"},
         {"form": "full"},

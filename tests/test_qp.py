@@ -21,7 +21,7 @@ from cases import (
     tick,
 )
 
-from qpctrl import Controller, Status, TickReport
+from qpctrl import Controller, InputError, Status, TickReport
 from qpctrl.limit import POSITION_RATE, UNBOUNDED, VELOCITY_RATE
 
 KKT = 1e-9
@@ -165,15 +165,9 @@ def test_all_solvers_and_both_forms_agree_with_limits_active(name: str) -> None:
             assert relative(other, by_backend[0, case]) < SOLVER_AGREEMENT
 
 
-@pytest.mark.skipif("quadprog" not in SOLVERS, reason="needs the extra 'solvers'")
-def test_a_solver_that_cannot_take_the_form_costs_a_fallback_and_no_exception() -> None:
-    controller = limited_controller("planar_2r", 1, "full", "quadprog")
-    q, v, drawn, _ = torque_limited("planar_2r", 1, 1)[0]
-    command, report, memory = tick(controller, q, v, drawn.references())
-    assert report.status is not Status.OK
-    assert command.fallback
-    assert np.isfinite(command.tau).all()
-    assert memory.fallback_ticks == 1
+def test_a_solver_that_cannot_take_the_form_is_refused() -> None:
+    with pytest.raises(InputError, match="cannot solve the full form"):
+        limited_controller("planar_2r", 1, "full", "quadprog")
 
 
 def test_there_are_at_least_two_solvers_to_agree() -> None:
