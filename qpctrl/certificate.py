@@ -6,6 +6,7 @@ One CasADi function of the solver's answer and the tick's outputs.
 import casadi as ca
 
 from qpctrl.limit import UNBOUNDED
+from qpctrl.report import TINY_TORQUE
 from qpctrl.spatial import SX
 from qpctrl.tick import Tick
 
@@ -34,7 +35,7 @@ def build_certificate(tick: Tick) -> ca.Function:
     s |= {name: ca.project(s[name], pattern) for name, pattern in tick.patterns.items()}
     Cx = s["C"] @ x
     tau = Cx[: s["t"].shape[0]] + s["t"]
-    size = ca.fmax(_largest(s["tau_hybrid"]), _largest(tau))
+    size = ca.fmax(ca.fmax(_largest(s["tau_hybrid"]), _largest(tau)), TINY_TORQUE)
     gaps = ca.vertcat(
         _largest(tau - s["tau_hybrid"]),
         _largest(tau - s["tau_textbook"]),

@@ -6,15 +6,15 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from qpctrl.arrays import Vector, positive
+from qpctrl.arrays import Vector, finite_array, positive
 from qpctrl.certificate import KKT_TOLERANCE
 from qpctrl.engine import Engine
 from qpctrl.errors import InputError, unknown_name
-from qpctrl.fallback import Fallback
+from qpctrl.fallback import Fallback, limited
 from qpctrl.mode import Mode
 from qpctrl.objective import Reference
 from qpctrl.qp import FORMS
-from qpctrl.rank import DependentRows, independent
+from qpctrl.rank import DependentRows, check_determined, independent
 from qpctrl.report import Command, TickReport
 from qpctrl.robot import Robot
 from qpctrl.solver import NEED_STRICT_CONVEXITY, make_solver
@@ -48,8 +48,6 @@ class Memory(NamedTuple):
     """Time of the last good measurement [s]."""
     q: Vector
     """Configuration of the last good measurement (nq) [rad or m]."""
-    v: Vector
-    """Velocity of the last good measurement (nv) [rad/s or m/s]."""
     freeze: bool = False
     """Whether integrators hold at the next tick."""
     fallback_ticks: int = 0
@@ -110,6 +108,7 @@ class Controller:
         self.engines: dict[str, Engine] = {}
         for mode in modes:
             usable = independent(robot, mode, dependent_rows)
+            check_determined(robot, usable)
             self.engines[mode.name] = Engine(
                 robot, usable, form, make_solver(solver), self.dt, tolerance
             )
@@ -121,9 +120,11 @@ class Controller:
 
     def start(self, mode: str, q: Vector) -> Memory:
         """Return the memory of a controller that holds still at ``q`` (nq) in ``mode``."""
-        zero = np.zeros(self.robot.nv)
-        x = self._engine(mode).tick.memory.vector()
-        return Memory(mode, x, self._fallback.torque(q, zero), -math.inf, np.array(q), zero)
+        engine, q = self._engine(mode), finite_array(q, (self.robot.nv,), "q")
+        hold = self._fallback.torque(q, np.zeros(self.robot.nv))
+        limit = engine.inputs["limits.tau_max"]
+        x = engine.tick.memory.vector()
+        return Memory(mode, x, np.clip(hold, -limit, limit), -math.inf, q)
 
     def step(
         self,
@@ -140,14 +141,17 @@ class Controller:
         Args:
             mode: name of the active mode.
             measurement: state of the robot.
-            references: what each task, by name, shall follow; a task left out keeps its
-                last reference.
+            references: what each task, by name, shall follow. A task left out keeps its last
+                reference, but the first tick in a mode needs one for every motion task.
             memory: what the last tick, or `start`, returned.
 
         Raises:
-            InputError: unknown mode, task or input name.
+            InputError: unknown mode, task or input name, an array of the wrong shape, or no
+                reference where one is needed.
         """
         engine = self._engine(mode)
+        if memory.mode != mode or memory.time == -math.inf:
+            engine.demand(references)
         if memory.mode != mode:
             memory = memory._replace(mode=mode, x=self._carry(memory, engine))
         status = _judge(measurement, memory)
@@ -157,15 +161,14 @@ class Controller:
         else:
             report = engine.refuse(measurement.time, status)
         if report.status is not Status.OK:
-            return self._hold(measurement, report, memory)
-        tau = self._choose(report, memory)
+            return self._hold(engine, measurement, report, memory)
+        tau = self._choose(engine, report, memory)
         after = Memory(
             mode=mode,
             x=engine.memory_after(),
             tau=tau,
             time=measurement.time,
             q=np.array(measurement.q),
-            v=np.array(measurement.v),
             freeze=report.saturated or not measurement.in_contact,
             fallback_ticks=memory.fallback_ticks,
         )
@@ -176,27 +179,38 @@ class Controller:
             raise unknown_name("mode", mode, self.engines)
         return self.engines[mode]
 
-    def _choose(self, report: TickReport, memory: Memory) -> Vector:
+    def _choose(self, engine: Engine, report: TickReport, memory: Memory) -> Vector:
         if self.law == "qp":
             return report.tau_qp
         tau = report.tau_hybrid if self.law == "hybrid" else report.tau_textbook
-        return self._fallback.clip(tau, memory.tau, self.dt)
+        return self._limited(engine, tau, memory)
 
     def _hold(
-        self, measurement: Measurement, report: TickReport, memory: Memory
+        self, engine: Engine, measurement: Measurement, report: TickReport, memory: Memory
     ) -> tuple[Command, TickReport, Memory]:
-        good = report.status not in (Status.NOT_FINITE, Status.STALE)
-        q, v = (measurement.q, measurement.v) if good else (memory.q, memory.v)
-        tau = self._fallback.clip(self._fallback.torque(q, v), memory.tau, self.dt)
+        """Return the fallback torque, from the newest state that can be believed."""
+        q, v = memory.q, np.zeros(self.robot.nv)  # no damping along a velocity nobody knows
+        known = measurement.time > memory.time and bool(np.isfinite(measurement.q).all())
+        if known:
+            q = np.array(measurement.q)
+            elapsed = measurement.time - memory.time
+            v = np.array(measurement.v)
+            if not np.isfinite(v).all():
+                v = (q - memory.q) / elapsed  # zero after a start, whose time is −∞
+        tau = self._limited(engine, self._fallback.torque(q, v), memory)
         after = memory._replace(
             tau=tau,
-            time=measurement.time if good else memory.time,
-            q=np.array(q),
-            v=np.array(v),
+            time=measurement.time if known else memory.time,
+            q=q,
             freeze=True,
             fallback_ticks=memory.fallback_ticks + 1,
         )
         return Command(tau, fallback=True), report, after
+
+    def _limited(self, engine: Engine, tau: Vector, memory: Memory) -> Vector:
+        limits = engine.inputs
+        step = limits["limits.tau_rate"] * self.dt
+        return limited(tau, memory.tau, limits["limits.tau_max"], step)
 
     def _carry(self, memory: Memory, engine: Engine) -> Vector:
         """Return the new mode's memory, with what both modes' tasks share taken over."""

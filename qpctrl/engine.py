@@ -5,9 +5,10 @@ from collections.abc import Mapping
 from typing import Protocol, runtime_checkable
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from qpctrl import certificate
-from qpctrl.arrays import Vector
+from qpctrl.arrays import Array, Vector
 from qpctrl.errors import InputError, unknown_name
 from qpctrl.evaluator import Evaluator
 from qpctrl.mode import Mode
@@ -77,7 +78,21 @@ class Engine:
         self.inputs = self.tick.inputs.views(self._u)
         self.inputs["dt"][...] = dt
         self.qp = QpData(*(self.terms[name] for name in QpData._fields))
+        self._torque_rows = self.terms["C"][: robot.nu]
         self._k = self.tick.mode_rows
+
+    def demand(self, references: Mapping[str, Reference]) -> None:
+        """Refuse to enter the mode without the references that have no safe default.
+
+        Raises:
+            InputError: a motion task has no reference.
+        """
+        for task, _ in self.tick.mode.tasks:
+            if task.needs_reference and task.name not in references:
+                raise InputError(
+                    f"mode {self.tick.mode.name!r} is entered without a reference for task "
+                    f"{task.name!r}"
+                )
 
     def load(
         self, q: Vector, v: Vector, references: Mapping[str, Reference], memory: TaskMemory
@@ -87,22 +102,16 @@ class Engine:
         Raises:
             InputError: unknown task or input, or an array of the wrong shape.
         """
-        self._evaluate.inputs["q"][:] = q
-        self._evaluate.inputs["v"][:] = v
-        self._evaluate.inputs["x"][:] = memory.x
+        state = self._evaluate.inputs
+        _put(state, "q", q)
+        _put(state, "v", v)
+        state["x"][:] = memory.x
         self.inputs["limits.tau_last"][:] = memory.tau
         self.inputs["freeze"][...] = memory.freeze
         self.inputs["mu"][...] = 0.0
         for task, reference in references.items():
             for key, value in reference.arrays().items():
-                name = f"{task}.{key}"
-                try:
-                    self.inputs[name][...] = value
-                except KeyError:
-                    raise unknown_name("task input", name, self.inputs) from None
-                except ValueError:
-                    shapes = f"got shape {np.shape(value)}, need {self.inputs[name].shape}"
-                    raise InputError(f"{name}: {shapes}") from None
+                _put(self.inputs, f"{task}.{key}", value)
 
     def solve(self, time: float) -> TickReport:
         """Return the report of the tick that was loaded."""
@@ -113,10 +122,13 @@ class Engine:
         if self.terms["dependent"][0]:
             names = dependent_rows(self.tick, self.terms["row_pivots"])
             return self.refuse(time, Status.DEPENDENT_ROWS, names)
-        solution, kkt = self._solve_qp()
+        rough = self._solver.solve(self.qp)
+        if not rough.feasible:
+            return self.refuse(time, Status.INFEASIBLE)
+        solution, kkt = self._polished(rough)
         if not kkt <= self._tolerance:
-            return self.refuse(time, Status.INACCURATE if solution.feasible else Status.INFEASIBLE)
-        return self._report(time, solution, damping)
+            return self.refuse(time, Status.INACCURATE)
+        return self._report(time, rough, solution, damping)
 
     def memory_after(self) -> Vector:
         """Return the tasks' memory after the tick that was solved."""
@@ -135,6 +147,7 @@ class Engine:
             lam=np.full(self._k, np.nan),
             kkt=np.full(4, np.nan),
             law_gap=math.nan,
+            tau_solver=nan,
             textbook_gap=math.nan,
             unexplained_gap=math.nan,
             curvature=math.nan,
@@ -157,11 +170,8 @@ class Engine:
         self._evaluate()
         return damping
 
-    def _solve_qp(self) -> tuple[Solution, float]:
-        """Return the solution, polished, and its residual; as the solver left it if better."""
-        rough = self._solver.solve(self.qp)
-        if not rough.feasible:
-            return rough, math.inf
+    def _polished(self, rough: Solution) -> tuple[Solution, float]:
+        """Return the polished solution and its residual; the solver's own if that is better."""
         if not rough.z.dot(rough.z) or not np.any(active_set(self.qp, rough)):
             none = np.zeros(len(rough.z))
             polished = Solution(self.terms["x_eq"].copy(), self.terms["y_eq"], none)
@@ -183,7 +193,9 @@ class Engine:
             return math.inf  # the maximum in the certificate passes over NaN
         return max(out["kkt"].tolist())
 
-    def _report(self, time: float, solution: Solution, damping: float) -> TickReport:
+    def _report(
+        self, time: float, rough: Solution, solution: Solution, damping: float
+    ) -> TickReport:
         out, terms = self._certify.outputs, self.terms
         gaps = out["gaps"].tolist()
         if not self.tick.has_law:
@@ -200,6 +212,7 @@ class Engine:
             lam=solution.x[len(solution.x) - self._k :],
             kkt=out["kkt"].copy(),
             law_gap=gaps[0],
+            tau_solver=self._torque_rows @ rough.x + terms["t"],
             textbook_gap=gaps[1],
             unexplained_gap=gaps[2],
             curvature=gaps[3],
@@ -227,6 +240,16 @@ class Engine:
     def _yields(self, x: Vector) -> tuple[Yield, ...]:
         give = self.terms["G"] @ (x - self.terms["x_law"])
         return tuple(
-            Yield(measure.task, give[measure.rows].copy(), measure.unit)
+            Yield(measure.task, give[measure.rows].copy(), measure.axes, measure.units)
             for measure in self.tick.gives
         )
+
+
+def _put(inputs: Mapping[str, Array], name: str, value: ArrayLike) -> None:
+    place = inputs.get(name)
+    if place is None:
+        raise unknown_name("task input", name, inputs)
+    shape = value.shape if isinstance(value, np.ndarray) else np.shape(value)
+    if shape != place.shape:
+        raise InputError(f"{name}: got shape {shape}, need {place.shape}")
+    place[...] = value

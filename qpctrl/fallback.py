@@ -1,7 +1,9 @@
 """The one fallback: hold with damping and gravity compensation.
 
 τ = B⁺ (g(q) − K_d v), within the torque limits and the torque rate. It is sent whenever a tick
-has no solution of the demanded accuracy, and counted.
+has no solution of the demanded accuracy, and counted. A velocity that is not measured is taken
+from the last two configurations; where nothing new is known there is no damping, for acting on
+an old velocity would push.
 """
 
 import casadi as ca
@@ -26,16 +28,12 @@ class Fallback:
             "fallback", [dynamics.q, dynamics.v], [ca.densify(gravity - damping)]
         )
         self._B_pinv = np.linalg.pinv(robot.B)
-        self._limits = robot.limits
 
     def torque(self, q: Vector, v: Vector) -> Vector:
-        """Return the holding torque (nu) [Nm] within ±tau_max."""
-        limit = self._limits.tau_max
-        held = self._B_pinv @ np.asarray(self._function(q, v)).ravel()
-        return np.clip(held, -limit, limit)
+        """Return the holding torque (nu) [Nm], not yet limited."""
+        return self._B_pinv @ np.asarray(self._function(q, v)).ravel()
 
-    def clip(self, tau: Vector, tau_last: Vector, dt: float) -> Vector:
-        """Return ``tau`` (nu) moved inside the torque and torque-rate limits."""
-        step = self._limits.tau_rate * dt
-        near = np.clip(tau, tau_last - step, tau_last + step)
-        return np.clip(near, -self._limits.tau_max, self._limits.tau_max)
+
+def limited(tau: Vector, tau_last: Vector, tau_max: Vector, step: Vector) -> Vector:
+    """Return ``tau`` (nu) within ``step`` [Nm] of ``tau_last`` and inside ±``tau_max``."""
+    return np.clip(np.clip(tau, tau_last - step, tau_last + step), -tau_max, tau_max)

@@ -54,12 +54,16 @@ def acceleration_bounds(u: Mapping[str, SX], q: SX, v: SX) -> Bounds:
 
     Control barriers: the distance to the velocity limit shrinks at most at rate r_v,
     the distance to the position limit as a critically damped decay of rate r_p:
-    a ≤ min(r_v (v_max − v), r_p² (q_max − q) − 2 r_p v), and likewise below.
+    a ≤ min(r_v (v_max − v), r_p² (q_max − q) − 2 r_p v), and likewise below. A joint far
+    outside its position limits comes back as fast as its velocity limits let it.
     Source: Nguyen2016.
     """
     r_p, r_v = u["rates"][0], u["rates"][1]
-    ub = ca.fmin(r_v * (u["v_max"] - v), r_p**2 * (u["q_max"] - q) - 2 * r_p * v)
-    lb = ca.fmax(r_v * (-u["v_max"] - v), r_p**2 * (u["q_min"] - q) - 2 * r_p * v)
+    lb_v, ub_v = r_v * (-u["v_max"] - v), r_v * (u["v_max"] - v)
+    lb_q = r_p**2 * (u["q_min"] - q) - 2 * r_p * v
+    ub_q = r_p**2 * (u["q_max"] - q) - 2 * r_p * v
+    lb = ca.fmax(lb_v, ca.fmin(lb_q, ub_v))
+    ub = ca.fmin(ub_v, ca.fmax(ub_q, lb_v))
     return _finite(Bounds(lb, ub))
 
 

@@ -2,8 +2,6 @@
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from qpctrl.constraint import Constraint
 from qpctrl.errors import InputError
 from qpctrl.objective import Weighted
@@ -25,5 +23,7 @@ class Mode:
         if not self.tasks:
             raise InputError(f"mode {self.name!r}: need at least one task")
         for task, weight in self.tasks:
-            if not (np.isfinite(weight) and weight > 0):
-                raise InputError(f"weight of task {task.name!r}: got {weight}, need a number > 0")
+            if not 1e-6 <= weight <= 1e6:
+                raise InputError(
+                    f"weight of task {task.name!r}: got {weight}, need a number from 1e-6 to 1e6"
+                )

@@ -42,7 +42,7 @@ class Scene(NamedTuple):
     v: SX
     """Velocity (nv) [rad/s or m/s]."""
     dt: SX
-    """Time since the last tick [s]."""
+    """Control period [s]."""
     freeze: SX
     """1 while integrators hold (a limit was active or contact lost), else 0."""
     motion: FrameMotion
@@ -82,6 +82,10 @@ class Task(Protocol):
     @property
     def space(self) -> TaskSpace | None:
         """Task space of the objective; none for a posture."""
+
+    @property
+    def needs_reference(self) -> bool:
+        """Whether a mode must not be entered without a reference for this task."""
 
     def inputs(self) -> dict[str, Array]:
         """Return references, measurements and gains with their defaults."""

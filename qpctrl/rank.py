@@ -5,7 +5,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from qpctrl.arrays import Vector
+from qpctrl.arrays import Array, Vector
 from qpctrl.constraint import Constraint, Selection
 from qpctrl.errors import InputError, unknown_name
 from qpctrl.evaluator import Evaluator
@@ -14,6 +14,9 @@ from qpctrl.robot import Robot
 from qpctrl.tick import PIVOT_RATIO, Tick, build_tick
 
 DependentRows = Literal["refuse", "drop"]
+
+DEGENERATE = 1e-10
+"""Ratio of the Hessian's eigenvalues below which motion is undetermined."""
 
 
 def dependent_rows(tick: Tick, row_pivots: Vector) -> tuple[str, ...]:
@@ -43,16 +46,41 @@ def independent(robot: Robot, mode: Mode, treatment: DependentRows) -> Mode:
     return mode
 
 
+def check_determined(robot: Robot, mode: Mode) -> None:
+    """Refuse a mode whose tasks leave some motion undetermined at the robot's home.
+
+    Raises:
+        InputError: the Hessian in a is singular: dependent task axes, or no posture for the
+            freedom that is left.
+    """
+    _, terms = _at_home(robot, mode)
+    eigenvalues = np.linalg.eigvalsh(terms["H"][: robot.nv, : robot.nv])
+    if not eigenvalues[0] > DEGENERATE * eigenvalues[-1]:
+        raise InputError(
+            f"mode {mode.name!r}: its tasks leave motion undetermined at home; add a posture task, "
+            "or remove task axes that depend on each other"
+        )
+
+
 def _dependent_at_home(robot: Robot, mode: Mode) -> tuple[str, ...]:
     if not mode.constraints:
         return ()
+    tick, terms = _at_home(robot, mode)
+    return dependent_rows(tick, terms["row_pivots"])
+
+
+def _at_home(robot: Robot, mode: Mode) -> tuple[Tick, dict[str, Array]]:
+    """Return the tick and its outputs at home, damped, so that a singular home is no matter."""
     tick = build_tick(robot, mode)
     evaluate = Evaluator(tick.function)
     evaluate.inputs["q"][:] = robot.home
     evaluate.inputs["u"][:] = tick.inputs.vector()
-    tick.inputs.views(evaluate.inputs["u"])["mu"][...] = 1.0  # a singular home has rows like others
+    u = tick.inputs.views(evaluate.inputs["u"])
+    u["mu"][...] = 1.0
+    for task, _ in mode.tasks:
+        u[f"{task.name}.weight"][...] = 1.0
     evaluate()
-    return dependent_rows(tick, evaluate.outputs["row_pivots"])
+    return tick, evaluate.outputs
 
 
 def _without(constraints: tuple[Constraint, ...], row: str) -> tuple[Constraint, ...]:

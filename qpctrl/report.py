@@ -7,6 +7,9 @@ import numpy as np
 from qpctrl.arrays import Array, Vector
 from qpctrl.status import Status
 
+TINY_TORQUE = 1e-9
+"""Torque [Nm] below which gaps are not relative to the torque any more."""
+
 NEGLIGIBLE = 1e-9
 """What a task gave way, in its own unit, below which `explain` is silent."""
 
@@ -27,8 +30,16 @@ class Yield(NamedTuple):
 
     task: str
     amount: Vector
-    """Difference for each axis of the task."""
-    unit: str
+    """Difference for each axis or joint of the task."""
+    axes: tuple[str, ...]
+    """Name of each axis or joint."""
+    units: tuple[str, ...]
+    """Unit of each."""
+
+    def largest(self) -> tuple[str, float, str]:
+        """Return axis, amount and unit of the largest difference."""
+        i = int(np.abs(self.amount).argmax())
+        return self.axes[i], float(self.amount[i]), self.units[i]
 
 
 class Command(NamedTuple):
@@ -49,6 +60,9 @@ class TickReport(NamedTuple):
     status: Status
     tau_qp: Vector
     """Torque of the QP (nu) [Nm]; NaN when there is none."""
+    tau_solver: Vector
+    """Torque of the solver's own answer (nu) [Nm], before the polish. Its last bits may differ
+    from run to run, so it is in no record."""
     tau_hybrid: Vector
     """Torque of the hybrid law (nu) [Nm], or of the equality-constrained QP without one."""
     tau_textbook: Vector
@@ -80,6 +94,12 @@ class TickReport(NamedTuple):
         return float(max(self.kkt.tolist()))
 
     @property
+    def solver_gap(self) -> float:
+        """The solver's own torque against that of the polished solution."""
+        largest = max(float(np.abs(self.tau_qp).max()), TINY_TORQUE)
+        return float(np.abs(self.tau_solver - self.tau_qp).max()) / largest
+
+    @property
     def saturated(self) -> bool:
         """Whether a limit binds."""
         return bool(self.active)
@@ -95,9 +115,9 @@ class TickReport(NamedTuple):
             side = "upper" if limit.dual > 0 else "lower"
             said.append(f"{limit.name} at its {side} limit (dual {abs(limit.dual):.3g})")
         for lost in self.yields:
-            largest = int(np.abs(lost.amount).argmax())
-            if abs(amount := lost.amount[largest]) > NEGLIGIBLE:
-                said.append(f"task {lost.task} gave way by {amount:+.3g} {lost.unit}")
+            axis, amount, unit = lost.largest()
+            if abs(amount) > NEGLIGIBLE:
+                said.append(f"task {lost.task} gave way by {amount:+.3g} {unit} along {axis}")
         if self.curvature > 1e-12:
             said.append(
                 f"textbook law differs by its curvature term, {self.curvature:.1e} of max |τ|"

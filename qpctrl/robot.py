@@ -176,7 +176,7 @@ def urdf_text(path: Path) -> str:
         root = ElementTree.parse(path).getroot()
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from error
-    except ElementTree.ParseError as error:
+    except (ElementTree.ParseError, LookupError, ValueError) as error:
         raise InputError(f"{path}: not XML ({error})") from error
     if root.tag != "robot":
         raise InputError(f"{path}: got <{root.tag}>, need a URDF with <robot> at its root")
@@ -184,6 +184,8 @@ def urdf_text(path: Path) -> str:
         for shape in (*link.findall("visual"), *link.findall("collision")):
             link.remove(shape)
     for joint in root.findall("joint"):
+        if joint.find("mimic") is not None:
+            raise InputError(f"{path}: joint {joint.get('name')!r} is a mimic; not supported")
         if joint.get("type") == "continuous":
             joint.set("type", "revolute")
             limit = joint.find("limit")

@@ -33,8 +33,9 @@ class Give(NamedTuple):
     """Which rows of ``G x`` measure how far one task can give way."""
 
     task: str
-    unit: str
     rows: slice
+    axes: tuple[str, ...]
+    units: tuple[str, ...]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -215,17 +216,21 @@ def _gives(model: ModeModel, form: str) -> tuple[tuple[Give, ...], SX]:
     gives, blocks, start = [], [ca.SX(0, nv + nu + k_all)], 0
     for item in model.tasks:
         objective, owner = item.written.objective, item.task.space
-        block = ca.SX((owner.n if owner else nv), nv + nu + k_all)
-        unit = "m/s², rad/s²" if owner else "Nm"
+        axes = owner.axes if owner else model.robot.joint_names
+        block = ca.SX(len(axes), nv + nu + k_all)
         if isinstance(objective, ForceObjective) and owner:
             split = model.splits[owner]
             block[:, offset[owner] : offset[owner] + split.k] = split.A.T
-            unit = "N, Nm"
+            units = tuple("N" if axis.startswith("v") else "Nm" for axis in axes)
+        elif owner:
+            block[:, :nv] = model.spaces[owner].J
+            units = tuple("m/s²" if axis.startswith("v") else "rad/s²" for axis in axes)
         else:
-            block[:, :nv] = model.spaces[owner].J if owner else model.M_N
+            block[:, :nv] = model.M_N
+            units = ("Nm",) * len(axes)
         blocks.append(block)
-        gives.append(Give(item.task.name, unit, slice(start, start + block.shape[0])))
-        start += block.shape[0]
+        gives.append(Give(item.task.name, slice(start, start + len(axes)), axes, units))
+        start += len(axes)
     return tuple(gives), ca.vertcat(*blocks)
 
 

@@ -37,6 +37,14 @@ examples:
   qpctrl compare --states 200
 """
 
+RUN_USAGE = f"""usage: qpctrl run SCENARIO [--help]
+
+scenarios: {", ".join(SCENARIOS)}
+
+example:
+  qpctrl run eraser --force 15 --out runs/firm
+"""
+
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Listing:
@@ -84,6 +92,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         sys.exit(2)
     except BrokenPipeError:
         sys.exit(1)
+    except KeyboardInterrupt:
+        print("qpctrl: interrupted, nothing written", file=sys.stderr)
+        sys.exit(130)
     sys.exit(0 if passed else 1)
 
 
@@ -104,7 +115,12 @@ def _dispatch(arguments: list[str]) -> bool:
 
 
 def _list(arguments: list[str]) -> bool:
-    listing = parse(Listing, arguments, prog="qpctrl list", description="List the scenarios.")
+    listing = parse(
+        Listing,
+        arguments,
+        prog="qpctrl list",
+        description="List the scenarios.\n\nExample: qpctrl list --json",
+    )
     found = {name: scenario.summary for name, scenario in SCENARIOS.items()}
     if listing.json:
         print(json.dumps(found, indent=2))
@@ -120,7 +136,7 @@ def _run(arguments: list[str]) -> bool:
     if not arguments:
         raise InputError(f"missing SCENARIO; allowed: {', '.join(SCENARIOS)}")
     if arguments[0] in ("-h", "--help"):
-        print(f"usage: qpctrl run SCENARIO [--help]\nscenarios: {', '.join(SCENARIOS)}")
+        print(RUN_USAGE, end="")
         return True
     name = arguments[0]
     if name not in SCENARIOS:
@@ -222,15 +238,25 @@ def _compare(arguments: list[str]) -> bool:
 
 def _equivalence_table(rows: list[Row]) -> Table:
     table = Table(
-        *("arm", "k", "states", "QP − hybrid", "QP − textbook", "… + curvature", "KKT"),
+        *(
+            "arm",
+            "k",
+            "states",
+            "QP − hybrid",
+            "unpolished",
+            "QP − textbook",
+            "… + curvature",
+            "KKT",
+        ),
         *("limited", "two solvers", "singular", "unsolved"),
         box=None,
         header_style="bold",
-        caption="largest over the states, relative to max |τ|; limited: states with active torque "
-        "limits; singular: Λ damped, no equality claimed",
+        caption="largest over the states, relative to max |τ|; polish: what it changes in the "
+        "solver's own answer; limited: states with active torque limits; singular: Λ damped, no "
+        "equality claimed",
     )
     for row in rows:
-        gaps = (row.law_gap, row.textbook_gap, row.curvature_gap, row.kkt)
+        gaps = (row.law_gap, row.own_gap, row.textbook_gap, row.curvature_gap, row.kkt)
         table.add_row(
             *(row.robot, str(row.k), str(row.states), *(f"{gap:.1e}" for gap in gaps)),
             *(str(row.limited), f"{row.solver_gap:.1e}", str(row.damped), str(row.unsolved)),

@@ -37,7 +37,7 @@ EQUALITY = 1e-8
 """Largest relative difference between QP and closed form."""
 
 AGREEMENT = 1e-7
-"""Largest relative difference between two solvers with limits active."""
+"""Largest relative difference between the QP and any solver's own answer."""
 
 OVERSHOOT = 1e-9
 """Farthest that a torque may pass its limit [Nm]."""
@@ -69,6 +69,8 @@ class Row:
     """QP − hybrid, relative."""
     curvature_gap: float
     """QP − textbook + curvature term, relative; the term computed apart from the controller."""
+    own_gap: float
+    """The solver's own answer − QP, relative: what the polish changes."""
     textbook_gap: float
     """QP − textbook, relative: what the curvature term makes of it."""
     kkt: float
@@ -93,6 +95,7 @@ class Row:
             Criterion(
                 f"{where} QP − textbook = curvature", self.curvature_gap, EQUALITY, "× max |τ|"
             ),
+            Criterion(f"{where} solver's own answer", self.own_gap, AGREEMENT, "× max |τ|"),
             Criterion(f"{where} KKT", self.kkt, KKT_TOLERANCE, ""),
             Criterion(f"{where} torque beyond limit", self.overshoot, OVERSHOOT, "Nm"),
             Criterion(f"{where} two solvers", self.solver_gap, AGREEMENT, "× max |τ|"),
@@ -139,7 +142,16 @@ class _Comparison:
         self._second, self._form = make_solver(second), form
         self._polish = Polish(*(len(self._engine.terms[name]) for name in ("g", "b", "lb")))
         self._worst: dict[str, float] = dict.fromkeys(
-            ("law_gap", "curvature_gap", "textbook_gap", "kkt", "overshoot", "solver_gap"), 0.0
+            (
+                "law_gap",
+                "own_gap",
+                "curvature_gap",
+                "textbook_gap",
+                "kkt",
+                "overshoot",
+                "solver_gap",
+            ),
+            0.0,
         )
         self._limited = self._damped = self._unsolved = 0
 
@@ -167,6 +179,7 @@ class _Comparison:
             self._damped += 1
             return
         self._note("law_gap", free.law_gap)
+        self._note("own_gap", free.solver_gap)
         self._note("textbook_gap", free.textbook_gap)
         self._note("kkt", free.kkt_residual)
         apart = free.tau_textbook - free.tau_qp - self._curvature(q)
@@ -189,7 +202,7 @@ class _Comparison:
 
     def _solve(self, engine: Engine, q: Vector, v: Vector) -> TickReport | None:
         x = engine.tick.memory.vector()
-        engine.load(q, v, {}, Memory("compare", x, np.zeros(self._robot.nu), 0.0, q, v))
+        engine.load(q, v, {}, Memory("compare", x, np.zeros(self._robot.nu), 0.0, q))
         report = engine.solve(0.0)
         if report.status is not Status.OK:
             self._damped += report.damping > 0

@@ -72,6 +72,9 @@ class Eraser:
     def __post_init__(self) -> None:
         for name in ("force", "speed", "duration"):
             positive(getattr(self, name), (), name)
+        for name, most, unit in (("duration", 3600.0, "s"), ("speed", 5.0, "m/s")):
+            if getattr(self, name) > most:
+                raise InputError(f"{name}: got {getattr(self, name)}, need at most {most:g} {unit}")
         for name in ("friction", "force_noise", "k_fp", "k_fi", "damping", "k_p", "k_i", "k_d"):
             value = getattr(self, name)
             if not (np.isfinite(value) and value >= 0):

@@ -93,7 +93,8 @@ def _terms(
     q: np.ndarray,
     v: np.ndarray,
 ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    data.qpos[:], data.qvel[:] = q, v
+    order = joint_order(model, robot)
+    data.qpos[:], data.qvel[:] = q[order], v[order]
     mujoco.mj_forward(model, data)
     M = np.zeros((robot.nv, robot.nv))
     mujoco.mj_fullM(model, data, M)
@@ -106,11 +107,23 @@ def _terms(
     pin.framesForwardKinematics(robot.model, other, q)
     world = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
     J_theirs = pin.computeFrameJacobian(robot.model, other, q, fid, world)
+    M_theirs = upper + np.triu(upper, 1).T
     return {
-        "M": (M, upper + np.triu(upper, 1).T),
-        "h": (data.qfrc_bias.copy(), pin.nonLinearEffects(robot.model, other, q, v)),
-        "J": (J, J_theirs.reshape(6, robot.nv)),
+        "M": (M, M_theirs[np.ix_(order, order)]),
+        "h": (data.qfrc_bias.copy(), pin.nonLinearEffects(robot.model, other, q, v)[order]),
+        "J": (J, J_theirs.reshape(6, robot.nv)[:, order]),
     }
+
+
+def joint_order(model: mujoco.MjModel, robot: Robot) -> list[int]:
+    """Return pinocchio's index of each joint of MuJoCo; the two may list branches differently."""
+    names = [model.joint(j).name or f"joint{j}" for j in range(model.njnt)]
+    if set(names) != set(robot.joint_names):
+        raise ModelMismatchError(
+            f"robot {robot.name!r}: MuJoCo has joints {', '.join(names)}, pinocchio "
+            f"{', '.join(robot.joint_names)}"
+        )
+    return [robot.joint_names.index(name) for name in names]
 
 
 def _locate(model: mujoco.MjModel, frame: str) -> tuple[str, int]:

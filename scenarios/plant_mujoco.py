@@ -28,7 +28,7 @@ class MujocoPlant:
         self._sensor = WrenchSensor(*_tool(world.model))
         self._site = world.model.site(SENSOR).id
         self._channels = {
-            name: self._data.sensor(name).data
+            name: self._data.sensor(f"qpctrl/{name}").data
             for name in ("force", "torque", "accelerometer", "gyro", "angular acceleration")
         }
         self._noise = force_noise * np.array([1, 1, 1, 0.1, 0.1, 0.1])

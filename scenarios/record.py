@@ -44,7 +44,7 @@ class Record:
         vectors = {
             **dict.fromkeys(("q", "v"), joints),
             **dict.fromkeys(("tau", "tau_qp", "tau_hybrid", "tau_textbook"), actuators),
-            "tau_delivered": joints,
+            **dict.fromkeys(("tau_delivered", "tau_meas"), joints),
             "wrench_meas": WRENCH,
         }
         self._common = [*SCALARS, *(f"{name}.{part}" for name, v in vectors.items() for part in v)]
@@ -62,9 +62,10 @@ class Record:
             *(state.time, report.law_gap, report.textbook_gap, report.unexplained_gap),
             *(report.curvature, report.damping, report.kkt_residual, tick.tick_us),
         )
+        delivered = self._B @ command.tau  # ideal joints deliver and measure what is commanded
         vectors = (
             *(scalars, state.q, state.v, command.tau, report.tau_qp, report.tau_hybrid),
-            *(report.tau_textbook, self._B @ command.tau, state.wrench_meas),
+            *(report.tau_textbook, delivered, delivered, state.wrench_meas),
             *(report.lam, report.signals),
         )
         self._rows.append(np.concatenate(vectors))

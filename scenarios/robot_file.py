@@ -9,7 +9,7 @@ import pinocchio as pin
 
 from qpctrl.errors import InputError, QpctrlError, unknown_name
 from qpctrl.robot import Robot, from_pinocchio, urdf_text
-from scenarios.plant_model import check_agreement, robot_from_mujoco
+from scenarios.plant_model import check_agreement, joint_order, robot_from_mujoco
 
 MODELS = Path(__file__).parent / "models"
 
@@ -35,22 +35,47 @@ def robot_spec(robot: str) -> mujoco.MjSpec:
     """Return the spec of a robot by name or file, without its own contacts and actuators.
 
     Torques are applied to the joints, gravity is the controller's business, and the only
-    contact of a scenario is the one that it declares: actuators, gravity compensation and
-    collisions of the file are switched off.
+    contact of a scenario is the one that it declares. So actuators, sensors, tendons, gravity
+    compensation, collisions, joint damping, friction and springs, air drag and option flags of the
+    file are switched off. Equality constraints are refused.
     """
     path = MODELS / f"{robot}.xml" if robot in ROBOTS else Path(robot)
-    if not path.exists():
+    if not _exists(path):
         if path.suffix in (".xml", ".urdf", ".mjcf"):
             raise InputError(f"robot file {robot!r} does not exist")
         raise unknown_name("robot", robot, (*ROBOTS, "FILE.xml", "FILE.urdf"))
     spec = _urdf_spec(path) if path.suffix == ".urdf" else _mjcf_spec(path)
+    if len(spec.equalities):
+        names = ", ".join(repr(item.name) for item in spec.equalities)
+        raise InputError(f"{path}: equality constraints ({names}) are not supported; remove them")
+    _strip(spec)
+    return spec
+
+
+def _exists(path: Path) -> bool:
+    try:
+        return path.exists()
+    except (OSError, ValueError):  # a name that no file system takes
+        return False
+
+
+def _strip(spec: mujoco.MjSpec) -> None:
+    """Switch off what the controller's model does not have: see `robot_spec`."""
     for geom in spec.geoms:
         geom.contype = geom.conaffinity = 0
     for body in spec.bodies:
         body.gravcomp = 0
-    for actuator in spec.actuators:
-        spec.delete(actuator)
-    return spec
+    for joint in spec.joints:
+        joint.damping = np.zeros_like(joint.damping)
+        joint.stiffness = np.zeros_like(joint.stiffness)
+        joint.frictionloss = 0
+    for item in (*spec.actuators, *spec.sensors, *spec.tendons):
+        spec.delete(item)
+    for key in spec.keys:
+        key.ctrl = key.act = []
+    spec.option.density = spec.option.viscosity = 0
+    spec.option.wind = np.zeros(3)
+    spec.option.disableflags = spec.option.enableflags = 0
 
 
 def compile_spec(spec: mujoco.MjSpec, name: str) -> mujoco.MjModel:
@@ -73,6 +98,12 @@ def home_of(model: mujoco.MjModel, home: tuple[float, ...] | None) -> np.ndarray
     if home is not None:
         if len(home) != model.nq or not np.isfinite(home).all():
             raise InputError(f"home: got {list(home)}, need {model.nq} finite numbers")
+        low, high = model.jnt_range.T
+        outside = model.jnt_limited.astype(bool) & ((home < low) | (home > high))
+        if outside.any():
+            j = int(outside.argmax())
+            room = f"need {low[j]:g} to {high[j]:g}"
+            raise InputError(f"home: joint {model.joint(j).name!r} at {home[j]:g}, {room}")
         return np.array(home, dtype=np.float64)
     index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "home")
     if model.nkey:
@@ -86,7 +117,7 @@ def _mjcf_spec(path: Path) -> mujoco.MjSpec:
         root = ElementTree.parse(path).getroot()
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from error
-    except (ElementTree.ParseError, UnicodeDecodeError) as error:
+    except (ElementTree.ParseError, LookupError, ValueError) as error:
         raise InputError(f"{path}: not XML ({error})") from error
     if root.tag == "robot":
         return _urdf_spec(path)
@@ -115,7 +146,8 @@ def _urdf_spec(path: Path) -> mujoco.MjSpec:
         raise InputError(f"{path}: {_one_line(error)}") from error
     shared = [model.body(i).name for i in range(1, model.nbody)]
     check_agreement(model, other, [name for name in shared if name in other.frame_names][-1])
-    speed = np.where(np.isinf(other.limits.v_max), 0.0, other.limits.v_max)  # 0 means none
+    v_max = other.limits.v_max[joint_order(model, other)]
+    speed = np.where(np.isinf(v_max), 0.0, v_max)  # 0 means none
     spec.add_numeric(name="velocity_limit", size=len(speed), data=speed)
     return spec
 

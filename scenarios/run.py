@@ -13,12 +13,16 @@ from pathlib import Path
 from typing import Any
 
 import polars as pl
+from polars.exceptions import PolarsError
 
 from qpctrl.errors import InputError
 from scenarios.record import write_parquet
 from scenarios.report import render_report
 from scenarios.scenario import Experiment, Options, Scenario
 from scenarios.simulation import simulate
+
+FILES = ("summary.json", "ticks.parquet", "report.html")
+"""What a run leaves behind."""
 
 VERSIONED = ("qpctrl", "casadi", "mujoco", "numpy", "pin", "proxsuite", "qpsolvers")
 
@@ -99,8 +103,11 @@ def writable_folder(path: Path) -> Path:
         path.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=path):
             pass
-    except OSError as error:
-        raise InputError(f"output folder {str(path)!r}: {error.strerror}") from error
+    except (OSError, ValueError) as error:  # ValueError: a name that no file system takes
+        raise InputError(f"output folder {str(path)!r}: {_reason(error)}") from error
+    for name in FILES:
+        if (path / name).is_dir():
+            raise InputError(f"output folder {str(path)!r}: {name} is a folder there")
     return path
 
 
@@ -123,8 +130,12 @@ def write_outcome(outcome: Outcome, folder: Path) -> None:
                 file.replace(folder / file.name)
         finally:
             shutil.rmtree(staging, ignore_errors=True)
-    except OSError as error:
-        raise InputError(f"output folder {str(folder)!r}: {error.strerror}") from error
+    except (OSError, PolarsError) as error:
+        raise InputError(f"output folder {str(folder)!r}: {_reason(error)}") from error
+
+
+def _reason(error: Exception) -> str:
+    return getattr(error, "strerror", None) or " ".join(str(error).split())
 
 
 def _plain(value: Any) -> Any:

@@ -114,9 +114,11 @@ def _board_pose(
 
 def _add_board(spec: mujoco.MjSpec, X_WE: pin.SE3, pad: Pad) -> None:
     half = np.array([0.35, 0.5, 0.01])
-    board = spec.worldbody.add_body(name="board", pos=X_WE.translation, quat=_quaternion(X_WE))
+    board = spec.worldbody.add_body(
+        name="qpctrl/board", pos=X_WE.translation, quat=_quaternion(X_WE)
+    )
     board.add_geom(
-        name="board",
+        name="qpctrl/board",
         type=mujoco.mjtGeom.mjGEOM_BOX,
         size=half,
         pos=[0, 0, half[2]],
@@ -134,13 +136,15 @@ def _add_board(spec: mujoco.MjSpec, X_WE: pin.SE3, pad: Pad) -> None:
             conaffinity=0,
         )
     spec.add_pair(
-        name="pad on board",
+        name="qpctrl/pad on board",
         geomname1="eraser/pad",
-        geomname2="board",
+        geomname2="qpctrl/board",
         condim=3,
         friction=[pad.friction, pad.friction, 0.0, 0.0, 0.0],
         solref=pad.solref,
         solimp=[*pad.solimp, 0.5, 2.0],
+        margin=0.0,
+        gap=0.0,
     )
 
 
@@ -152,7 +156,9 @@ def _add_sensors(spec: mujoco.MjSpec) -> None:
         ("gyro", mujoco.mjtSensor.mjSENS_GYRO),
         ("angular acceleration", mujoco.mjtSensor.mjSENS_FRAMEANGACC),
     ):
-        spec.add_sensor(name=name, type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=SENSOR)
+        spec.add_sensor(
+            name=f"qpctrl/{name}", type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=SENSOR
+        )
 
 
 def _add_surroundings(spec: mujoco.MjSpec) -> None:

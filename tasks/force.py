@@ -10,7 +10,7 @@ Source: LynchPark2017 §11.5; the damping in the metric S⁻¹ is derived in doc
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import final
+from typing import ClassVar, final
 
 import casadi as ca
 import numpy as np
@@ -66,6 +66,9 @@ class ForceTask:
     cutoff: Array | float = 50.0
     """Cut-off [Hz] of the filter on the wrench outside A's rows; 0 ignores that wrench."""
     name: str = "force"
+
+    needs_reference: ClassVar[bool] = False
+    """Whether there is a safe reference by default."""
 
     def __post_init__(self) -> None:
         n = (self.space.n,)

@@ -9,7 +9,7 @@ Source: LynchPark2017 §11.3.3.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import final
+from typing import ClassVar, final
 
 import casadi as ca
 import numpy as np
@@ -70,6 +70,9 @@ class MotionTask:
     integral_max: Array | float = 0.05
     """Saturation of ∫X_e (n) [m s, rad s]."""
     name: str = "motion"
+
+    needs_reference: ClassVar[bool] = True
+    """Whether there is no safe reference by default."""
 
     def __post_init__(self) -> None:
         for gain in ("K_p", "K_i", "K_d", "integral_max"):

@@ -6,7 +6,7 @@ Source: Khatib1987.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import final
+from typing import ClassVar, final
 
 import numpy as np
 
@@ -42,6 +42,9 @@ class PostureTask:
     name: str = "posture"
     space: None = None
     """A posture lives in joint space."""
+
+    needs_reference: ClassVar[bool] = False
+    """Whether there is a safe reference by default."""
 
     def __post_init__(self) -> None:
         shape = np.shape(self.q_ref)

@@ -207,6 +207,7 @@ class GivenTask:
     kind: type[MotionObjective] | type[ForceObjective] | type[PostureObjective]
     size: int
     space: TaskSpace | None = None
+    needs_reference: bool = False
 
     def inputs(self) -> dict[str, np.ndarray]:
         """Return zero for each part of the objective."""

@@ -80,6 +80,12 @@ def test_missed_criteria_exit_with_1(tmp_path: Path, capsys) -> None:
         ("run eraser 7", "unexpected argument '7'"),
         ("run eraser --duration 0", "duration: got 0.0"),
         ("run eraser --duration inf", "duration: got inf"),
+        ("run eraser --duration 1e12", "need at most 3600 s"),
+        ("run eraser --speed 60", "need at most 5 m/s"),
+        ("run eraser --solver quadprog --form full", "cannot solve the full form"),
+        ("compare --solver quadprog --form full", "cannot solve the full form"),
+        ("run eraser --home 5 -1.1 0 -2.4 0 2.87 0", "joint 'joint1' at 5"),
+        ("run eraser --robot " + "a" * 300, "unknown robot"),
         ("run eraser --k-fp -1", "k_fp: got -1.0"),
         ("run eraser --friction nan", "friction: got nan"),
         ("run eraser --law textbok", "did you mean 'textbook'"),
@@ -113,6 +119,23 @@ def test_an_output_folder_that_cannot_be_written_is_refused_before_the_run(tmp_p
     file.write_text("")
     assert typed("run", "eraser", "--out", str(file / "below")) == 2
     assert "output folder" in capsys.readouterr().err
+
+
+def test_a_folder_in_the_place_of_a_file_is_refused_and_nothing_is_written(tmp_path, capsys):
+    (tmp_path / "ticks.parquet").mkdir()
+    assert typed(*RUN, "--out", str(tmp_path)) == 2
+    assert "ticks.parquet is a folder" in capsys.readouterr().err
+    assert [item.name for item in tmp_path.iterdir()] == ["ticks.parquet"]
+
+
+def test_an_interrupted_run_says_so_and_leaves_nothing(tmp_path, capsys, monkeypatch):
+    def interrupt(*_args, **_options):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("scenarios.run.simulate", interrupt)
+    assert typed(*RUN, "--out", str(tmp_path / "out")) == 130
+    assert "interrupted" in capsys.readouterr().err
+    assert list((tmp_path / "out").iterdir()) == []
 
 
 def test_help_has_units_and_an_example(capsys) -> None:

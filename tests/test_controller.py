@@ -2,6 +2,7 @@
 
 import functools
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -167,8 +168,10 @@ def test_a_bad_tick_sends_a_finite_torque_inside_limits_and_rate_and_is_counted(
     assert status in statuses
     assert step.command.fallback
     assert np.isfinite(step.command.tau).all()
-    assert (np.abs(step.command.tau) <= TAU_MAX + INSIDE).all()
-    assert (np.abs(step.command.tau - before.command.tau) <= TAU_RATE * DT + INSIDE).all()
+    tau_max = controller.engines["contact"].inputs["limits.tau_max"]  # as given at this tick
+    last = np.clip(before.command.tau, -tau_max, tau_max)
+    assert (np.abs(step.command.tau) <= tau_max + INSIDE).all()
+    assert (np.abs(step.command.tau - last) <= TAU_RATE * DT + INSIDE).all()
     assert step.memory.fallback_ticks == 1
     assert step.report.explain().startswith(f"fallback torque: {status.value}")
     assert np.array_equal(step.memory.x, before.memory.x)
@@ -208,10 +211,61 @@ def test_the_fallback_holds_the_arm_against_gravity_and_brakes() -> None:
     assert memory.tau == pytest.approx(np.clip(gravity, -TAU_MAX, TAU_MAX), abs=1e-10)
     seen = measured(0)
     fast = seen._replace(v=0.1 * seen.v, time=0.0)
-    stale = memory._replace(time=1.0, q=fast.q, v=fast.v)
-    command, _, _ = controller.step("contact", fast, {}, stale)
+    blind = {**references(0), "force": ForceReference(F_ref=np.zeros(6), F_meas=np.full(6, np.nan))}
+    command, report, _ = controller.step("contact", fast, blind, memory)
+    assert report.status is Status.NOT_FINITE
     braking = command.tau - pin.computeGeneralizedGravity(model, data, fast.q)
-    assert braking @ fast.v < 0
+    assert braking @ fast.v < 0  # the state is known: damp the motion there is
+
+
+@pytest.mark.parametrize("what", ["NaN velocity", "stale"])
+def test_the_fallback_does_not_push_along_a_velocity_it_no_longer_knows(what: str) -> None:
+    controller = make_controller()
+    memory, model = run(controller, 30)[-1].memory, arm().model
+    for i in range(200):  # long enough for the rate limit not to matter
+        bad = measured(29)
+        if what == "NaN velocity":  # the arm stands, and its velocity sensor is gone
+            bad = bad._replace(time=0.03 + i * DT, v=np.full(7, np.nan))
+        command, _, memory = controller.step("contact", bad, references(0.03), memory)
+    gravity = pin.computeGeneralizedGravity(model, model.createData(), memory.q)
+    assert command.tau == pytest.approx(np.clip(gravity, -TAU_MAX, TAU_MAX), abs=1e-9)
+
+
+def test_a_mode_is_not_entered_without_a_motion_reference() -> None:
+    controller = make_controller()
+    memory = controller.start("contact", arm().home)
+    with pytest.raises(InputError, match="entered without a reference for task 'motion'"):
+        controller.step("contact", measured(0), {}, memory)
+    _, _, memory = controller.step("contact", measured(0), references(0), memory)
+    controller.step("contact", measured(1), {}, memory)  # later a task keeps its last one
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("q", np.zeros(1)), ("q", np.zeros(6)), ("v", np.zeros(8)), ("force.F_meas", np.zeros(1))],
+)
+def test_an_array_of_the_wrong_shape_is_refused_not_spread(name: str, value: np.ndarray) -> None:
+    controller = make_controller()
+    memory = controller.start("contact", arm().home)
+    seen, given = measured(0), dict(references(0))
+    if name.startswith("force"):
+        given["force"] = Given(F_meas=value)
+    else:
+        seen = seen._replace(**{name: value})
+    with pytest.raises(InputError, match=rf"{re.escape(name)}: got shape"):
+        controller.step("contact", seen, given, memory)
+
+
+def test_tasks_that_leave_motion_undetermined_are_refused() -> None:
+    robot, space = arm(), TaskSpace("tool")
+    half = TaskSpace("tool", ("vx", "vy", "vz"))
+    tasks = (
+        Weighted(MotionTask(space=space, name="all")),
+        Weighted(MotionTask(space=half, name="again")),
+        Weighted(PostureTask(q_ref=robot.home)),
+    )
+    with pytest.raises(InputError, match="leave motion undetermined"):
+        Controller(robot, [Mode(name="double", tasks=tasks)])
 
 
 def test_integrators_hold_where_contact_is_lost() -> None:
@@ -230,11 +284,14 @@ def test_integrators_hold_where_contact_is_lost() -> None:
 def test_integrators_hold_while_a_limit_binds() -> None:
     controller = make_controller()
     before = run(controller, 30)[-1]
-    tight = {**references(0.03), "limits": Given(tau_max=0.9 * np.abs(before.command.tau).max())}
+    tight = {
+        **references(0.03),
+        "limits": Given(tau_max=np.full(7, 0.9 * np.abs(before.command.tau).max())),
+    }
     bound = Step(*controller.step("contact", measured(30), tight, before.memory))
     assert bound.report.saturated
     assert bound.memory.freeze
-    wide = {**references(0.031), "limits": Given(tau_max=TAU_MAX)}
+    wide = {**references(0.031), "limits": Given(tau_max=np.full(7, TAU_MAX))}
     after = Step(*controller.step("contact", measured(31), wide, bound.memory))
     assert np.array_equal(integrals(controller, bound.memory), integrals(controller, after.memory))
 
@@ -379,8 +436,9 @@ def test_unknown_names_are_refused_with_the_nearest_one() -> None:
         controller.start("contcat", arm().home)
     with pytest.raises(InputError, match="unknown mode 'slide'"):
         controller.step("slide", measured(0), {}, memory)
+    given = {**references(0), "forse": references(0)["force"]}
     with pytest.raises(InputError, match=r"'forse\.F_ref'.*did you mean 'force\.F_ref'"):
-        controller.step("contact", measured(0), {"forse": references(0)["force"]}, memory)
+        controller.step("contact", measured(0), given, memory)
     with pytest.raises(InputError, match=r"unknown task input 'motion\.K_q'"):
         controller.step("contact", measured(0), {"motion": Given(K_q=np.zeros(6))}, memory)
 
@@ -485,7 +543,7 @@ def test_two_task_spaces_are_compared_with_the_kkt_solution() -> None:
     given = {
         "tool": MotionReference(X_WD=robot.pose(robot.home, "tool")),
         "elbow": MotionReference(X_WD=robot.pose(robot.home, "elbow")),
-        "limits": Given(tau_rate=1e9),
+        "limits": Given(tau_rate=np.full(robot.nu, 1e9)),
     }
     command, report, _ = controller.step("two", seen, given, memory)
     assert report.status is Status.OK

@@ -103,7 +103,7 @@ def test_a_mismatch_is_refused_and_names_the_term(term: str, spoil) -> None:
 def test_the_raw_sensor_carries_the_eraser_and_the_compensated_one_nothing(world: World) -> None:
     plant = MujocoPlant(world)
     state = plant.reset(world.robot.home)
-    raw = plant._data.sensor("force").data
+    raw = plant._data.sensor("qpctrl/force").data
     assert np.linalg.norm(raw) == pytest.approx(WEIGHT, rel=1e-9)
     assert np.abs(state.wrench_meas).max() < SENSOR_NOISE_FREE
 

@@ -134,6 +134,60 @@ def test_a_users_mjcf_keeps_neither_actuators_nor_gravity_compensation(tmp_path:
     assert load_robot(str(path)).joint_names == ("swing",)
 
 
+def test_what_the_controller_does_not_know_is_switched_off_in_the_plant(tmp_path: Path) -> None:
+    path = tmp_path / "arm.xml"
+    path.write_text(
+        '<mujoco model="mine"><option density="1000"><flag gravity="disable"/></option>'
+        '<worldbody><body name="arm"><joint name="swing" damping="3" stiffness="9" '
+        'frictionloss="2"/><geom type="capsule" fromto="0 0 0 1 0 0" size="0.05"/>'
+        "</body></worldbody>"
+        '<actuator><motor joint="swing"/></actuator>'
+        '<sensor><jointpos joint="swing"/></sensor>'
+        '<keyframe><key name="home" qpos="0.4" ctrl="1"/></keyframe></mujoco>'
+    )
+    model = compile_spec(robot_spec(str(path)), str(path))
+    assert model.dof_damping.max() == model.dof_frictionloss.max() == 0
+    assert model.jnt_stiffness.max() == model.opt.density == model.opt.disableflags == 0
+    assert load_robot(str(path)).home.tolist() == [0.4]
+
+
+BRANCHES = """
+<robot name="fork"><link name="base"/>{}
+  <joint name="z_first" type="revolute"><parent link="base"/><child link="zebra"/>
+    <origin xyz="0 0 1"/><axis xyz="0 1 0"/>
+    <limit lower="-2" upper="2" effort="9" velocity="3"/></joint>
+  <joint name="a_second" type="revolute"><parent link="base"/><child link="ant"/>
+    <origin xyz="0 1 0"/><axis xyz="1 0 0"/>
+    <limit lower="-1" upper="1" effort="5" velocity="7"/></joint>
+</robot>
+"""
+LINK = (
+    '<link name="{}"><inertial><mass value="{}"/><origin xyz="0.1 0.2 0.3"/>'
+    '<inertia ixx="0.1" iyy="0.2" izz="0.25" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+)
+
+
+def test_a_urdf_that_branches_keeps_each_limit_with_its_joint(tmp_path: Path) -> None:
+    path = tmp_path / "fork.urdf"
+    path.write_text(BRANCHES.format(LINK.format("zebra", 2) + LINK.format("ant", 1)))
+    robot = load_robot(str(path))
+    speed = dict(zip(robot.joint_names, robot.limits.v_max, strict=True))
+    assert speed == {"z_first": 3.0, "a_second": 7.0}
+
+
+def test_a_mimic_joint_is_refused_by_name(tmp_path: Path) -> None:
+    path = tmp_path / "fork.urdf"
+    text = BRANCHES.format(LINK.format("zebra", 2) + LINK.format("ant", 1))
+    path.write_text(text.replace('velocity="7"/>', 'velocity="7"/><mimic joint="z_first"/>'))
+    with pytest.raises(InputError, match="'a_second' is a mimic"):
+        load_robot(str(path))
+
+
+def test_a_home_outside_the_joint_limits_is_refused_by_joint() -> None:
+    with pytest.raises(InputError, match="joint 'joint1' at 5"):
+        load_robot("fr3", home=(5.0, -1.1, 0.0, -2.4, 0.0, 2.87, 0.0))
+
+
 @pytest.mark.parametrize(
     ("content", "message"),
     [
@@ -142,6 +196,12 @@ def test_a_users_mjcf_keeps_neither_actuators_nor_gravity_compensation(tmp_path:
         ("<sdf/>", "need <mujoco>"),
         ("<mujoco><worldbody><body><joint/></body></worldbody></mujoco>", "mass"),
         ("<mujoco><worldbody><body name='b'><geom size='1'/></body></worldbody></mujoco>", "joint"),
+        ("<?xml version='1.0' encoding='foo'?><mujoco/>", "not XML"),
+        (
+            "<mujoco><worldbody><body name='a'><joint name='j'/><geom size='1'/></body></worldbody>"
+            "<equality><joint joint1='j'/></equality></mujoco>",
+            "equality constraints",
+        ),
         (
             "<mujoco><worldbody><body><freejoint/><geom size='1'/></body></worldbody></mujoco>",
             "need hinge or slide",
