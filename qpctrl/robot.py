@@ -170,14 +170,23 @@ def from_urdf(path: Path | str, *, home: Vector | None = None) -> Robot:
     return from_pinocchio(model, home=home)
 
 
-def urdf_text(path: Path) -> str:
-    """Return the URDF text without meshes, with continuous joints as unlimited revolute."""
+def xml_root(path: Path) -> ElementTree.Element:
+    """Return the root element of an XML file.
+
+    Raises:
+        InputError: it cannot be read, or is not XML.
+    """
     try:
-        root = ElementTree.parse(path).getroot()
+        return ElementTree.parse(path).getroot()
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from error
     except (ElementTree.ParseError, LookupError, ValueError) as error:
         raise InputError(f"{path}: not XML ({error})") from error
+
+
+def urdf_text(path: Path) -> str:
+    """Return the URDF text without meshes, with continuous joints as unlimited revolute."""
+    root = xml_root(path)
     if root.tag != "robot":
         raise InputError(f"{path}: got <{root.tag}>, need a URDF with <robot> at its root")
     for link in root.findall("link"):

@@ -1,14 +1,13 @@
 """Robots by name or file: our own MJCF, or any user's MJCF or URDF, as an editable spec."""
 
 from pathlib import Path
-from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
 import pinocchio as pin
 
 from qpctrl.errors import InputError, QpctrlError, unknown_name
-from qpctrl.robot import Robot, from_pinocchio, urdf_text
+from qpctrl.robot import Robot, from_pinocchio, urdf_text, xml_root
 from scenarios.plant_model import check_agreement, joint_order, robot_from_mujoco
 
 MODELS = Path(__file__).parent / "models"
@@ -113,12 +112,7 @@ def home_of(model: mujoco.MjModel, home: tuple[float, ...] | None) -> np.ndarray
 
 
 def _mjcf_spec(path: Path) -> mujoco.MjSpec:
-    try:
-        root = ElementTree.parse(path).getroot()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
-    except (ElementTree.ParseError, LookupError, ValueError) as error:
-        raise InputError(f"{path}: not XML ({error})") from error
+    root = xml_root(path)
     if root.tag == "robot":
         return _urdf_spec(path)
     if root.tag != "mujoco":
