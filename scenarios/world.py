@@ -67,15 +67,16 @@ def build_world(
         ModelMismatchError: MuJoCo and pinocchio disagree on the scene's robot.
     """
     spec = robot_spec(robot)
+    q_home = home_of(compile_spec(spec.copy(), robot), home)
     _mount_eraser(spec, tool)
-    X_WE = _board_pose(spec, robot, home, clearance)
+    X_WE = _board_pose(spec, robot, q_home, clearance)
     _add_board(spec, X_WE, pad or Pad())
     _add_sensors(spec)
     _add_surroundings(spec)
     spec.option.timestep = dt
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     model = compile_spec(spec, robot)
-    described = robot_from_mujoco(model, home_of(compile_spec(robot_spec(robot), robot), home))
+    described = robot_from_mujoco(model, q_home)
     check_agreement(model, described, TOOL)
     return World(model=model, robot=described, X_WE=X_WE)
 
@@ -92,12 +93,10 @@ def _mount_eraser(spec: mujoco.MjSpec, tool: str) -> None:
         raise unknown_name("tool frame", tool, names)
 
 
-def _board_pose(
-    spec: mujoco.MjSpec, robot: str, home: tuple[float, ...] | None, clearance: float
-) -> pin.SE3:
+def _board_pose(spec: mujoco.MjSpec, robot: str, q_home: Array, clearance: float) -> pin.SE3:
     model = compile_spec(spec.copy(), robot)
     data = mujoco.MjData(model)
-    data.qpos[:] = home_of(compile_spec(robot_spec(robot), robot), home)
+    data.qpos[:] = q_home
     mujoco.mj_forward(model, data)
     J = np.zeros((6, model.nv))
     mujoco.mj_jacSite(model, data, J[:3], J[3:], model.site(TOOL).id)
