@@ -28,7 +28,7 @@ class Split:
     """
 
     def __init__(self, rows: PfaffianRows, Lambda_inv: SX) -> None:
-        self.A, self.A_dot_V, self.v_c_dot = rows
+        self.A, self.A_dot_V, _, self.v_c_dot = rows
         self._Lambda_inv = Lambda_inv
         self.S = self.A @ Lambda_inv @ self.A.T
         self._S = Factor(self.S) if self.k else None

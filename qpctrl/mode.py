@@ -1,27 +1,38 @@
-"""A mode: the constraints and weighted tasks that are active together."""
+"""A mode: the constraints, contact limits and weighted tasks that are active together."""
 
 from dataclasses import dataclass
 
 from qpctrl.constraint import Constraint
+from qpctrl.contact import WrenchLimit
 from qpctrl.errors import InputError
 from qpctrl.objective import Weighted
 
 
 @dataclass(frozen=True, kw_only=True)
 class Mode:
-    """A set of active constraints and weighted tasks; names are unique within it."""
+    """A set of active constraints, contact limits and weighted tasks; names are unique in it."""
 
     name: str
     tasks: tuple[Weighted, ...]
     constraints: tuple[Constraint, ...] = ()
+    contact_limits: tuple[WrenchLimit, ...] = ()
+    """What the contacts can carry; each acts on the constraints of its task space."""
 
     def __post_init__(self) -> None:
         names = [weighted.task.name for weighted in self.tasks]
         names += [constraint.name for constraint in self.constraints]
+        names += [limit.name for limit in self.contact_limits]
         if len(set(names)) < len(names):
             raise InputError(f"mode {self.name!r}: names must differ, got {', '.join(names)}")
         if not self.tasks:
             raise InputError(f"mode {self.name!r}: need at least one task")
+        held = {constraint.space for constraint in self.constraints}
+        for limit in self.contact_limits:
+            if limit.space not in held:
+                raise InputError(
+                    f"mode {self.name!r}: contact limit {limit.name!r} has no constraint on its "
+                    "task space"
+                )
         for task, weight in self.tasks:
             if not 1e-6 <= weight <= 1e6:
                 raise InputError(

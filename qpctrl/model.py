@@ -10,13 +10,14 @@ import numpy as np
 from qpctrl import limit
 from qpctrl.arrays import Array
 from qpctrl.constraint import PfaffianRows
+from qpctrl.contact import WrenchRows
 from qpctrl.dynamics import Dynamics
 from qpctrl.errors import InputError
 from qpctrl.factor import Factor
 from qpctrl.law import Split
 from qpctrl.layout import Layout
 from qpctrl.mode import Mode
-from qpctrl.objective import ForceObjective, Scene, Task, TaskExpressions
+from qpctrl.objective import ForceObjective, PostureObjective, Scene, Task, TaskExpressions
 from qpctrl.robot import Robot
 from qpctrl.space import FrameMotion, SpaceTerms, TaskSpace
 from qpctrl.spatial import SX, SymbolicPose
@@ -66,10 +67,13 @@ class ModeModel:
         ]
         self._check_forces()
         self.h = self.dynamics.h
-        for force, space in self.of(ForceObjective):
-            if space is None:
+        for item in self.tasks:
+            objective, space = item.written.objective, item.task.space
+            if isinstance(objective, ForceObjective) and space is None:
                 raise InputError(f"mode {mode.name!r}: a force task needs a task space")
-            self.h = self.h + self.spaces[space].J.T @ force.F_ext
+            outside = None if isinstance(objective, PostureObjective) else objective.F_ext
+            if space is not None and outside is not None:
+                self.h = self.h + self.spaces[space].J.T @ outside
         self.M_N = self._null_space_inertia()
 
     def of(self, kind: type[T]) -> list[tuple[T, TaskSpace | None]]:
@@ -90,6 +94,17 @@ class ModeModel:
             }
         )
 
+    def contact_rows(self, space: TaskSpace) -> WrenchRows:
+        """Return the limits on the multipliers λ of ``space``: rows (m×k) and their bounds."""
+        A, motion = self.splits[space].A, self.spaces[space].motion
+        rows = [
+            limit.rows(motion, _named(self.u, limit.name))
+            for limit in self.mode.contact_limits
+            if limit.space == space
+        ]
+        W = ca.vertcat(ca.SX(0, space.n), *(part.W for part in rows))
+        return WrenchRows(W @ A.T, ca.vertcat(ca.SX(0, 1), *(part.ub for part in rows)))
+
     def _split(self, space: TaskSpace) -> Split:
         terms = self.spaces[space]
         rows = [
@@ -97,7 +112,8 @@ class ModeModel:
             for constraint in self.mode.constraints
             if constraint.space == space
         ]
-        empty = PfaffianRows(ca.SX(0, space.n), ca.SX(0, 1), ca.SX(0, 1))
+        none = ca.SX(0, 1)
+        empty = PfaffianRows(ca.SX(0, space.n), none, none, none)
         stacked = (ca.vertcat(*parts) for parts in zip(empty, *rows, strict=True))
         return Split(PfaffianRows(*stacked), terms.Lambda_inv)
 
@@ -114,6 +130,7 @@ class ModeModel:
             motion=self.spaces[task.space].motion if task.space else nowhere,
             A=split.A if split else ca.SX(0, 0),
             S=split.S if split else ca.SX(0, 0),
+            Lambda_inv=self.spaces[task.space].Lambda_inv if task.space else ca.SX(0, 0),
         )
         return task.objective(scene, _named(self.u, task.name), _named(self._x, task.name))
 
@@ -154,6 +171,8 @@ def _input_defaults(robot: Robot, mode: Mode) -> dict[str, Array]:
         defaults |= {f"{task.name}.{key}": value for key, value in task.inputs().items()}
     for constraint in mode.constraints:
         defaults |= {f"{constraint.name}.{key}": v for key, v in constraint.inputs().items()}
+    for contact in mode.contact_limits:
+        defaults |= {f"{contact.name}.{key}": value for key, value in contact.inputs().items()}
     return defaults
 
 

@@ -13,6 +13,8 @@ class MotionObjective(NamedTuple):
 
     a_cmd: SX
     """Commanded acceleration (n) [m/s², rad/s²]."""
+    F_ext: SX | None = None
+    """Known wrench on the environment (n) [N, Nm] to compensate, a hand's for instance."""
 
 
 class ForceObjective(NamedTuple):
@@ -51,6 +53,8 @@ class Scene(NamedTuple):
     """Constraint rows (k×n) acting on that space; k = 0 in free space."""
     S: SX
     """A Λ⁻¹ Aᵀ (k×k), the mobility of the constrained directions."""
+    Lambda_inv: SX
+    """Λ⁻¹ (n×n) [1/kg, 1/(kg m), 1/(kg m²)], the mobility of that space."""
 
 
 class TaskExpressions(NamedTuple):

@@ -1,7 +1,8 @@
 """The QP in both forms, from the same terms.
 
     min  Σ w/2 ‖J a + J̇v − a_cmd‖²_Λ + Σ w/2 ‖Aᵀλ − F_cmd‖²_{Λ⁻¹} + Σ w/2 ‖a − a_post‖²_{M_N}
-    s.t. M a + h + Jᵀ Aᵀ λ = B τ,   A (J a + J̇v) + Ȧ V = v̇_c,   bounds on τ, a and λ
+    s.t. M a + h + Jᵀ Aᵀ λ = B τ,   A (J a + J̇v) + Ȧ V = v̇_c,   bounds on τ and a,
+          λ ≥ 0 where the contact is one-sided, W Aᵀ λ ≤ what it can carry
 
 `full` has x = (a, τ, λ). `reduced` has x = (a, λ): the driven part of the dynamics turns the
 torque bounds into rows, and what B leaves undriven stays as an equality.
@@ -14,6 +15,7 @@ import casadi as ca
 import numpy as np
 
 from qpctrl.arrays import Matrix
+from qpctrl.contact import WrenchRows
 from qpctrl.factor import Factor
 from qpctrl.limit import UNBOUNDED, Bounds
 from qpctrl.spatial import SX
@@ -66,10 +68,13 @@ class QpTerms:
     B: Matrix
     torque: Bounds
     acceleration: Bounds
+    contact: WrenchRows
+    """Limits on λ (rows×k), all spaces together."""
     unilateral: tuple[bool, ...]
     joint_names: tuple[str, ...]
     actuator_names: tuple[str, ...]
     constraint_rows: tuple[str, ...]
+    contact_rows: tuple[str, ...]
 
     @property
     def nv(self) -> int:
@@ -136,14 +141,20 @@ def _arrange(
     pushes = [i for i, one_sided in enumerate(terms.unilateral) if one_sided]
     identity = ca.SX.eye(size)
     lam_rows = identity[[size - terms.k + i for i in pushes], :]
+    contact = terms.contact
+    contact_rows = ca.horzcat(ca.SX(contact.W.shape[0], size - terms.k), contact.W)
+    open_end = UNBOUNDED * ca.SX.ones(len(pushes))
     return QpExpressions(
         H=ca.diagcat(terms.H_a, H_tau, terms.H_lam),
         g=ca.vertcat(terms.g_a, ca.SX.zeros(H_tau.shape[0]), terms.g_lam),
         A=A,
         b=b,
-        C=ca.vertcat(torque_rows, identity[: terms.nv, :], lam_rows),
-        lb=ca.vertcat(torque.lb, terms.acceleration.lb, ca.SX.zeros(len(pushes))),
-        ub=ca.vertcat(torque.ub, terms.acceleration.ub, UNBOUNDED * ca.SX.ones(len(pushes))),
+        C=ca.vertcat(torque_rows, identity[: terms.nv, :], lam_rows, contact_rows),
+        lb=ca.vertcat(
+            *(torque.lb, terms.acceleration.lb, ca.SX.zeros(len(pushes))),
+            -UNBOUNDED * ca.SX.ones(contact.W.shape[0]),
+        ),
+        ub=ca.vertcat(torque.ub, terms.acceleration.ub, open_end, contact.ub),
         t=ca.SX(0, 0),
         x_eq=ca.SX(0, 0),
         y_eq=ca.SX(0, 0),
@@ -181,6 +192,7 @@ def _inequality_names(terms: QpTerms) -> tuple[str, ...]:
         *(f"torque {name}" for name in terms.actuator_names),
         *(f"acceleration {name}" for name in terms.joint_names),
         *(f"unilateral {row}" for row, one_sided in pushes if one_sided),
+        *(f"contact {row}" for row in terms.contact_rows),
     )
 
 

@@ -19,7 +19,7 @@ class ActiveLimit(NamedTuple):
 
     name: str
     """``torque JOINT``, ``torque rate JOINT``, ``position JOINT``, ``velocity JOINT`` or
-    ``unilateral ROW``."""
+    ``unilateral ROW`` or ``contact LIMIT.ROW``."""
     dual: float
     """Its multiplier; positive on an upper bound, negative on a lower one. The unit is that of
     the cost [N²/kg] over that of the row."""

@@ -11,6 +11,7 @@ import casadi as ca
 import numpy as np
 
 from qpctrl import limit
+from qpctrl.contact import WrenchRows
 from qpctrl.errors import InputError
 from qpctrl.law import LawTerms, LawTorque, closed_forms
 from qpctrl.layout import Layout
@@ -136,6 +137,7 @@ def _qp_terms(model: ModeModel) -> QpTerms:
         elif isinstance(objective, ForceObjective) and item.task.space:
             force_cost[item.task.space] = (weight, objective.F_cmd)
     H_lam, g_lam, AJ, b_c = [], [ca.SX(0, 1)], [ca.SX(0, nv)], [ca.SX(0, 1)]
+    contact = [model.contact_rows(space) for space in model.spaces]
     for space, split in model.splits.items():
         weight, F_cmd = force_cost[space]
         terms = model.spaces[space]
@@ -162,10 +164,20 @@ def _qp_terms(model: ModeModel) -> QpTerms:
         B=model.robot.B,
         torque=limit.torque_bounds(limits, u["dt"]),
         acceleration=limit.acceleration_bounds(limits, model.dynamics.q, model.dynamics.v),
+        contact=WrenchRows(
+            ca.diagcat(*(part.W for part in contact)), _stack(part.ub for part in contact)
+        ),
         unilateral=tuple(side for constraint in constraints for side in constraint.unilateral),
         joint_names=model.robot.joint_names,
         actuator_names=model.robot.actuator_names,
         constraint_rows=tuple(f"{c.name}.{row}" for c in constraints for row in c.row_names),
+        contact_rows=tuple(
+            f"{part.name}.{row}"
+            for space in model.spaces
+            for part in model.mode.contact_limits
+            if part.space == space
+            for row in part.row_names
+        ),
     )
 
 

@@ -53,7 +53,7 @@ class RigidPlant:
 
     def accelerate(self, q: Vector, v: Vector, tau: Vector) -> tuple[Vector, Vector]:
         """Return acceleration (nv) and wrench on the environment (6) [N, Nm] under ``tau``."""
-        M, h, J, drift, A, A_dot_V, v_c_dot = self._terms(q, v)
+        M, h, J, drift, A, A_dot_V, _, v_c_dot = self._terms(q, v)
         AJ = A @ J
         k = len(A)
         kkt = np.block([[M, AJ.T], [AJ, np.zeros((k, k))]])
@@ -64,10 +64,10 @@ class RigidPlant:
         return found[: len(M)], wrench
 
     def _project(self, q: Vector, v: Vector) -> Vector:
-        M, _, J, _, A, *_ = self._terms(q, v)
+        M, _, J, _, A, _, v_c, _ = self._terms(q, v)
         AJ = A @ J
         M_inv_rows = np.linalg.solve(M, AJ.T)
-        return v - M_inv_rows @ np.linalg.solve(AJ @ M_inv_rows, AJ @ v)
+        return v - M_inv_rows @ np.linalg.solve(AJ @ M_inv_rows, AJ @ v - v_c)
 
     def _terms(self, q: Vector, v: Vector) -> tuple[Matrix, ...]:
         model, data, local = self._model, self._data, pin.ReferenceFrame.LOCAL
@@ -83,8 +83,7 @@ class RigidPlant:
         rows.inputs["R_WF"][...], rows.inputs["p_WF"][:] = X_WF.rotation, X_WF.translation
         rows.inputs["V"][:] = J @ v
         rows()
-        A, A_dot_V, v_c_dot = rows.outputs.values()
-        return M, h, J[self._index], drift[self._index], A, A_dot_V, v_c_dot
+        return M, h, J[self._index], drift[self._index], *rows.outputs.values()
 
     def _state(self, wrench: Vector) -> PlantState:
         return PlantState(self._time, self._q.copy(), self._v.copy(), wrench, touching=True)

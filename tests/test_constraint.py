@@ -70,7 +70,7 @@ class OnSphere:
 def test_face_on_plane_has_the_rows_of_the_plane_in_the_tool_frame() -> None:
     plane = board(SPACE)
     for X_WF, V in tool_motions(5):
-        A, _, v_c_dot = evaluate(plane, X_WF, V)
+        A, _, _, v_c_dot = evaluate(plane, X_WF, V)
         assert np.allclose(A, oracles.face_rows(plane.R_WE, X_WF), atol=ROUND_OFF)
         assert not v_c_dot.any()
 
@@ -91,7 +91,7 @@ def test_the_rows_of_the_plane_change_as_finite_differences_say() -> None:
 def test_rows_that_depend_on_the_position_are_differentiated_too() -> None:
     sphere = OnSphere(center=np.array([0.4, -0.3, 0.2]))
     for X_WF, V in tool_motions(3):
-        A, A_dot_V, _ = evaluate(sphere, X_WF, V)
+        A, A_dot_V, *_ = evaluate(sphere, X_WF, V)
         assert A.ravel() == pytest.approx(sphere.at(X_WF), abs=ROUND_OFF)
         ahead, behind = (sphere.at(X_WF * pin.exp6(s * V)) for s in (STEP, -STEP))
         expected = (ahead - behind) / (2 * STEP) @ V

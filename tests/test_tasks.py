@@ -45,9 +45,12 @@ class Bench:
         u = {key: ca.SX.sym(key, *np.shape(x)) for key, x in task.inputs().items()}
         x = {key: ca.SX.sym(key, *np.shape(x)) for key, x in task.memory().items()}
         motion = FrameMotion(space, SymbolicPose(R, p), V)
-        scene = Scene(q=q, v=v, dt=dt, freeze=freeze, motion=motion, A=A, S=S)
+        scene = Scene(
+            q=q, v=v, dt=dt, freeze=freeze, motion=motion, A=A, S=S, Lambda_inv=ca.SX.eye(6)
+        )
         written = task.objective(scene, u, x)
-        outputs = {**written.objective._asdict(), **written.memory}
+        asked = {key: x for key, x in written.objective._asdict().items() if x is not None}
+        outputs = {**asked, **written.memory}
         outputs |= {f"signal.{key}": value for key, value in written.signals.items()}
         self.names = list(outputs)
         arguments = [q, v, R, p, V, A, S, dt, freeze, *u.values(), *x.values()]

@@ -23,8 +23,10 @@ class PfaffianRows(NamedTuple):
     """Constraint matrix (k×n)."""
     A_dot_V: SX
     """Ȧ V (k) [m/s², rad/s²]."""
+    v_c: SX
+    """Velocity v_c (k) [m/s, rad/s] of the environment along the rows; 0 where it rests."""
     v_c_dot: SX
-    """Acceleration v̇_c (k) of the environment along the rows."""
+    """Acceleration v̇_c (k) [m/s², rad/s²] of the environment along the rows."""
 
 
 @runtime_checkable
@@ -57,9 +59,9 @@ class Constraint(Protocol):
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Pfaffian:
-    """Any constraint whose ``A``, ``Ȧ V`` and ``v̇_c`` are computed elsewhere, tick by tick.
+    """Any constraint whose ``A``, ``Ȧ V``, ``v_c`` and ``v̇_c`` are computed elsewhere, every tick.
 
-    Inputs: ``A`` (k×n), ``A_dot_V`` (k), ``v_c_dot`` (k).
+    Inputs: ``A`` (k×n), ``A_dot_V`` (k), ``v_c`` (k), ``v_c_dot`` (k).
     """
 
     space: TaskSpace
@@ -90,13 +92,13 @@ class Pfaffian:
         return (self.one_sided,) * len(self.A)
 
     def inputs(self) -> dict[str, Array]:
-        """Return ``A`` (k×n) and resting values of ``A_dot_V`` and ``v_c_dot`` (k)."""
-        k = len(self.A)
-        return {"A": np.asarray(self.A), "A_dot_V": np.zeros(k), "v_c_dot": np.zeros(k)}
+        """Return ``A`` (k×n) and resting values of ``A_dot_V``, ``v_c`` and ``v_c_dot`` (k)."""
+        still = dict.fromkeys(("A_dot_V", "v_c", "v_c_dot"), np.zeros(len(self.A)))
+        return {"A": np.asarray(self.A), **still}
 
     def rows(self, motion: FrameMotion, u: Mapping[str, SX]) -> PfaffianRows:
         """Return the inputs as they are."""
-        return PfaffianRows(u["A"], u["A_dot_V"], u["v_c_dot"])
+        return PfaffianRows(u["A"], u["A_dot_V"], u["v_c"], u["v_c_dot"])
 
 
 def differentiate(A_of: Callable[[SymbolicPose], SX], motion: FrameMotion) -> PfaffianRows:
@@ -112,11 +114,12 @@ def differentiate(A_of: Callable[[SymbolicPose], SX], motion: FrameMotion) -> Pf
     symbols = ca.vertcat(pose, V)
     values = ca.vertcat(ca.vec(R_WF), p_WF, motion.V)
     A_here, A_dot_V = ca.substitute([A, ca.jtimes(A @ V, pose, rate)], [symbols], [values])
-    return PfaffianRows(A_here, A_dot_V, ca.SX.zeros(A.shape[0]))
+    still = ca.SX.zeros(A.shape[0])
+    return PfaffianRows(A_here, A_dot_V, still, still)
 
 
 def row_function(constraint: Constraint) -> ca.Function:
-    """Return (R_WF, p_WF, V_full, *inputs) → (A, Ȧ V, v̇_c) of one constraint, for plants."""
+    """Return (R_WF, p_WF, V_full, *inputs) → (A, Ȧ V, v_c, v̇_c) of one constraint, for plants."""
     R, p, V = ca.SX.sym("R", 3, 3), ca.SX.sym("p", 3), ca.SX.sym("V", 6)
     u = {name: ca.SX.sym(name, *np.shape(value)) for name, value in constraint.inputs().items()}
     rows = constraint.rows(FrameMotion(constraint.space, SymbolicPose(R, p), V), u)
@@ -126,5 +129,5 @@ def row_function(constraint: Constraint) -> ca.Function:
         [R, p, V, *u.values()],
         [ca.densify(part) for part in rows],
         names,
-        ["A", "A_dot_V", "v_c_dot"],
+        ["A", "A_dot_V", "v_c", "v_c_dot"],
     )

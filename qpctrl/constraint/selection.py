@@ -45,5 +45,5 @@ class Selection:
     def rows(self, motion: FrameMotion, u: Mapping[str, SX]) -> PfaffianRows:
         """Return the rows kept."""
         keep = list(self.keep)
-        A, A_dot_V, v_c_dot = self.whole.rows(motion, u)
-        return PfaffianRows(A[keep, :], A_dot_V[keep], v_c_dot[keep])
+        A, *rates = self.whole.rows(motion, u)
+        return PfaffianRows(A[keep, :], *(rate[keep] for rate in rates))
