@@ -121,7 +121,7 @@ def _list(arguments: list[str]) -> bool:
         prog="qpctrl list",
         description="List the scenarios.\n\nExample: qpctrl list --json",
     )
-    found = {name: scenario.summary for name, scenario in SCENARIOS.items()}
+    found = {name: str(scenario.summary) for name, scenario in SCENARIOS.items()}
     if listing.json:
         print(json.dumps(found, indent=2))
         return True

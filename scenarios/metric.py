@@ -16,16 +16,16 @@ def wiping_metrics(table: pl.DataFrame, force: float) -> dict[str, float]:
     if wipe.is_empty():
         return dict.fromkeys(_NAMES, float("nan")) | whole_run_metrics(table)
     pressed = table.filter(pl.col("phase").is_in(["touch", "press"]))
-    error = _column(wipe, "wrench_meas.fz") - force
-    pose = np.stack([_column(wipe, f"motion.X_e.{i}") for i in range(6)], axis=1)
+    error = column(wipe, "wrench_meas.fz") - force
+    pose = np.stack([column(wipe, f"motion.X_e.{i}") for i in range(6)], axis=1)
     return {
-        "force_rmse_N": _rms(error),
+        "force_rmse_N": rms(error),
         "force_bias_N": float(error.mean()),
         "force_bias_abs_N": float(abs(error.mean())),
-        "force_peak_N": float(_column(wipe, "wrench_meas.fz").max()),
-        "touch_peak_ratio": float(_column(pressed, "wrench_meas.fz").max()) / force,
-        "position_rmse_mm": 1e3 * _rms(np.linalg.norm(pose[:, :2], axis=1)),
-        "orientation_rmse_deg": float(np.degrees(_rms(np.linalg.norm(pose[:, 3:], axis=1)))),
+        "force_peak_N": float(column(wipe, "wrench_meas.fz").max()),
+        "touch_peak_ratio": float(column(pressed, "wrench_meas.fz").max()) / force,
+        "position_rmse_mm": 1e3 * rms(np.linalg.norm(pose[:, :2], axis=1)),
+        "orientation_rmse_deg": float(np.degrees(rms(np.linalg.norm(pose[:, 3:], axis=1)))),
         "tilt_max_deg": float(np.degrees(np.linalg.norm(pose[:, 3:5], axis=1).max())),
         "contact_loss_fraction": _share(~wipe["touching"]),
         **tick_metrics(wipe),
@@ -48,7 +48,7 @@ def tick_metrics(table: pl.DataFrame) -> dict[str, float]:
 
 def whole_run_metrics(table: pl.DataFrame) -> dict[str, float]:
     """Return counts and timing of the whole run."""
-    timing = _column(table, "tick_us")
+    timing = column(table, "tick_us")
     return {
         "fallback_ticks_total": float(fallback_count(table)),
         "tick_us_median": float(np.median(timing)),
@@ -65,7 +65,8 @@ _NAMES = (
 )
 
 
-def _column(table: pl.DataFrame, name: str) -> Vector:
+def column(table: pl.DataFrame, name: str) -> Vector:
+    """Return a column of the record as numbers."""
     return table[name].to_numpy().astype(np.float64)
 
 
@@ -74,8 +75,19 @@ def _share(marks: pl.Series) -> float:
 
 
 def _largest(table: pl.DataFrame, name: str) -> float:
-    return float(_column(table, name).max()) if len(table) else float("nan")
+    return float(column(table, name).max()) if len(table) else float("nan")
 
 
-def _rms(values: Vector | Matrix) -> float:
+def rms(values: Vector | Matrix) -> float:
+    """Return the root of the mean square of all values."""
     return float(np.sqrt(np.mean(values**2)))
+
+
+def rms_norm(vectors: Matrix) -> float:
+    """Return the root mean square of the length of each row."""
+    return rms(np.linalg.norm(vectors, axis=1))
+
+
+def largest_norm(vectors: Matrix) -> float:
+    """Return the length of the longest row."""
+    return float(np.linalg.norm(vectors, axis=1).max())

@@ -143,7 +143,7 @@ def test_page_of_a_bad_run_has_a_sentence_for_each_missed_criterion() -> None:
     assert "✗ FAILED" in page
     assert "PASSED" not in page
     assert "0 of 2 criteria hold" in page
-    assert "Force error while wiping, RMS: 0.35 N, the limit is 0.1 N, 3.5 times as much." in page
+    assert "Force error, RMS: 0.35 N, the limit is 0.1 N, 3.5 times as much." in page
     assert "QP against hybrid law, largest gap: no value; the run&#x27;s phases were: app" in page
 
 

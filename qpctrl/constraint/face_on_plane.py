@@ -8,10 +8,10 @@ import casadi as ca
 import numpy as np
 
 from qpctrl.arrays import Array, Rotation
+from qpctrl.constraint.environment import need_rotation, need_six_axes
 from qpctrl.constraint.pfaffian import PfaffianRows, differentiate
-from qpctrl.errors import InputError
 from qpctrl.space import FrameMotion, TaskSpace
-from qpctrl.spatial import AXES, SX, SymbolicPose
+from qpctrl.spatial import SX, SymbolicPose
 
 
 @final
@@ -32,17 +32,8 @@ class FaceOnPlane:
     name: str = "plane"
 
     def __post_init__(self) -> None:
-        if self.space.axes != AXES:
-            raise InputError(
-                f"face on plane needs the axes {' '.join(AXES)}, got {self.space.axes}"
-            )
-        R = np.asarray(self.R_WE)
-        if (
-            R.shape != (3, 3)
-            or not np.allclose(R.T @ R, np.eye(3), atol=1e-9)
-            or np.linalg.det(R) < 0
-        ):
-            raise InputError("R_WE: need a rotation matrix (3×3)")
+        need_six_axes(self.space, "face on plane")
+        need_rotation(self.R_WE, "R_WE")
 
     @property
     def row_names(self) -> tuple[str, ...]:

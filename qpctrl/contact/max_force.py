@@ -8,7 +8,8 @@ import casadi as ca
 import numpy as np
 
 from qpctrl.arrays import Array, positive
-from qpctrl.contact.wrench_limit import WrenchRows, need_six_axes
+from qpctrl.constraint.environment import need_six_axes
+from qpctrl.contact.wrench_limit import WrenchRows
 from qpctrl.space import FrameMotion, TaskSpace
 from qpctrl.spatial import SX
 

@@ -4,9 +4,8 @@ from collections.abc import Mapping
 from typing import NamedTuple, Protocol, runtime_checkable
 
 from qpctrl.arrays import Array
-from qpctrl.errors import InputError
 from qpctrl.space import FrameMotion, TaskSpace
-from qpctrl.spatial import AXES, SX
+from qpctrl.spatial import SX
 
 
 class WrenchRows(NamedTuple):
@@ -39,13 +38,3 @@ class WrenchLimit(Protocol):
 
     def rows(self, motion: FrameMotion, u: Mapping[str, SX]) -> WrenchRows:
         """Return the rows as expressions of the pose and the inputs ``u``."""
-
-
-def need_six_axes(space: TaskSpace, what: str) -> None:
-    """Refuse a space that does not have all six axes.
-
-    Raises:
-        InputError: axes are missing or in another order.
-    """
-    if space.axes != AXES:
-        raise InputError(f"{what} needs the axes {' '.join(AXES)}, got {' '.join(space.axes)}")

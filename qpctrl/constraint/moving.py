@@ -1,0 +1,70 @@
+"""A constraint whose environment moves: a board on a conveyor, a door on a ship."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from qpctrl.arrays import Array
+from qpctrl.constraint.environment import need_six_axes
+from qpctrl.constraint.pfaffian import Constraint, PfaffianRows
+from qpctrl.space import FrameMotion, TaskSpace
+from qpctrl.spatial import SX, SymbolicPose, compose, inverse, motion_cross, motion_to_parent
+
+
+@final
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Moving:
+    """The constraint ``whole``, carried along by an environment that moves as a rigid body.
+
+    The environment has moved by D from where ``whole`` has it, with the body twist V_D. Seen
+    from it the tool is at X′ = D⁻¹ X_WF and moves with V − Ad V_D, Ad = Ad_{X_FW D}. So the rows
+    of ``whole`` at X′ hold for that twist, and
+    v_c = A Ad V_D,  v̇_c = A (Ad V̇_D + ad_{Ad V_D} V).
+
+    Inputs: those of ``whole``; ``X_shift`` (3×4), ``V_env`` (6) and ``V_dot_env`` (6): D, V_D
+    and its derivative, at rest by default.
+    """
+
+    whole: Constraint
+
+    def __post_init__(self) -> None:
+        need_six_axes(self.whole.space, "moving environment")
+
+    @property
+    def name(self) -> str:
+        """Name of the constraint that moves."""
+        return self.whole.name
+
+    @property
+    def space(self) -> TaskSpace:
+        """Task space of the constraint that moves."""
+        return self.whole.space
+
+    @property
+    def row_names(self) -> tuple[str, ...]:
+        """Names of its rows."""
+        return self.whole.row_names
+
+    @property
+    def unilateral(self) -> tuple[bool, ...]:
+        """Whether each of its rows can only push."""
+        return self.whole.unilateral
+
+    def inputs(self) -> dict[str, Array]:
+        """Return the inputs of the constraint, and an environment at rest."""
+        rest = {"X_shift": np.eye(4)[:3], "V_env": np.zeros(6), "V_dot_env": np.zeros(6)}
+        return {**self.whole.inputs(), **rest}
+
+    def rows(self, motion: FrameMotion, u: Mapping[str, SX]) -> PfaffianRows:
+        """Return the rows of the constraint, seen from the environment."""
+        D = SymbolicPose(u["X_shift"][:, :3], u["X_shift"][:, 3])
+        X_seen = compose(inverse(D), motion.X_WF)
+        V_env = motion_to_parent(inverse(X_seen), u["V_env"])
+        V_dot_env = motion_to_parent(inverse(X_seen), u["V_dot_env"]) + motion_cross(
+            V_env, motion.V_full
+        )
+        seen = FrameMotion(motion.space, X_seen, motion.V_full - V_env)
+        A, A_dot_V, v_c, v_c_dot = self.whole.rows(seen, u)
+        return PfaffianRows(A, A_dot_V, v_c + A @ V_env, v_c_dot + A @ V_dot_env)
