@@ -1,6 +1,7 @@
 """Optimization-based whole-body control for robots that move along a surface and push on it."""
 
 from qpctrl.constraint import Constraint, FaceOnPlane, Pfaffian, PfaffianRows
+from qpctrl.contact import Contact, ContactLife, ContactPhase
 from qpctrl.controller import Controller, Measurement, Memory
 from qpctrl.errors import InputError, ModelMismatchError, QpctrlError
 from qpctrl.mode import Mode
@@ -14,6 +15,9 @@ __all__ = [
     "ActiveLimit",
     "Command",
     "Constraint",
+    "Contact",
+    "ContactLife",
+    "ContactPhase",
     "Controller",
     "FaceOnPlane",
     "InputError",

@@ -8,6 +8,7 @@ import numpy as np
 
 from qpctrl.arrays import Vector, finite_array, positive
 from qpctrl.certificate import KKT_TOLERANCE
+from qpctrl.contact import ContactPhase
 from qpctrl.engine import Engine
 from qpctrl.errors import InputError, unknown_name
 from qpctrl.fallback import Fallback, limited
@@ -32,8 +33,8 @@ class Measurement(NamedTuple):
     """Configuration (nq) [rad or m]."""
     v: Vector
     """Velocity (nv) [rad/s or m/s]."""
-    in_contact: bool = True
-    """Whether the contacts of the mode are closed; integrators hold where they are not."""
+    contact: ContactPhase = ContactPhase.PRESS
+    """Phase of the contact; in a mode with constraints integrators hold unless it is closed."""
 
 
 class Memory(NamedTuple):
@@ -48,6 +49,8 @@ class Memory(NamedTuple):
     """Time of the last good measurement [s]."""
     q: Vector
     """Configuration of the last good measurement (nq) [rad or m]."""
+    contact: ContactPhase = ContactPhase.PRESS
+    """Phase of the contact at the last tick."""
     freeze: bool = False
     """Whether integrators hold at the next tick."""
     fallback_ticks: int = 0
@@ -160,16 +163,19 @@ class Controller:
             report = engine.solve(measurement.time)
         else:
             report = engine.refuse(measurement.time, status)
+        report = report._replace(contact=measurement.contact)
         if report.status is not Status.OK:
             return self._hold(engine, measurement, report, memory)
         tau = self._choose(engine, report, memory)
+        open_contact = not measurement.contact.closed
         after = Memory(
             mode=mode,
             x=engine.memory_after(),
             tau=tau,
             time=measurement.time,
             q=np.array(measurement.q),
-            freeze=report.saturated or not measurement.in_contact,
+            contact=measurement.contact,
+            freeze=report.saturated or (open_contact and engine.tick.mode_rows > 0),
             fallback_ticks=memory.fallback_ticks,
         )
         return Command(tau, fallback=False), report, after
@@ -202,6 +208,7 @@ class Controller:
             tau=tau,
             time=measurement.time if known else memory.time,
             q=q,
+            contact=measurement.contact,
             freeze=True,
             fallback_ticks=memory.fallback_ticks + 1,
         )

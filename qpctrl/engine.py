@@ -19,7 +19,7 @@ from qpctrl.report import ActiveLimit, TickReport, Yield
 from qpctrl.robot import Robot
 from qpctrl.solver import QpData, Solution, Solver
 from qpctrl.status import Status
-from qpctrl.tick import SINGULAR_MOBILITY, build_tick
+from qpctrl.tick import MATRICES, SINGULAR_MOBILITY, build_tick
 
 ACTIVE_DUAL = 1e-8
 """A row counts as active when its dual is larger than this."""
@@ -64,7 +64,7 @@ class Engine:
     ) -> None:
         self.tick = build_tick(robot, mode, form)
         self._robot, self._solver, self._tolerance = robot, solver, tolerance
-        self._evaluate = Evaluator(self.tick.function)
+        self._evaluate = Evaluator(self.tick.function, matrices=MATRICES)
         self.terms = self._evaluate.outputs
         sizes = (len(self.terms["g"]), len(self.terms["b"]), len(self.terms["lb"]))
         self._polish = Polish(*sizes)

@@ -11,7 +11,7 @@ from qpctrl.errors import InputError, unknown_name
 from qpctrl.evaluator import Evaluator
 from qpctrl.mode import Mode
 from qpctrl.robot import Robot
-from qpctrl.tick import PIVOT_RATIO, Tick, build_tick
+from qpctrl.tick import MATRICES, PIVOT_RATIO, Tick, build_tick
 
 DependentRows = Literal["refuse", "drop"]
 
@@ -72,7 +72,7 @@ def _dependent_at_home(robot: Robot, mode: Mode) -> tuple[str, ...]:
 def _at_home(robot: Robot, mode: Mode) -> tuple[Tick, dict[str, Array]]:
     """Return the tick and its outputs at home, damped, so that a singular home is no matter."""
     tick = build_tick(robot, mode)
-    evaluate = Evaluator(tick.function)
+    evaluate = Evaluator(tick.function, matrices=MATRICES)
     evaluate.inputs["q"][:] = robot.home
     evaluate.inputs["u"][:] = tick.inputs.vector()
     u = tick.inputs.views(evaluate.inputs["u"])

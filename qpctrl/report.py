@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from qpctrl.arrays import Array, Vector
+from qpctrl.contact import ContactPhase
 from qpctrl.status import Status
 
 TINY_TORQUE = 1e-9
@@ -12,6 +13,12 @@ TINY_TORQUE = 1e-9
 
 NEGLIGIBLE = 1e-9
 """What a task gave way, in its own unit, below which `explain` is silent."""
+
+CONTACT_WORDS = {
+    ContactPhase.LOSS: f"contact lost: {ContactPhase.LOSS.value}",
+    ContactPhase.REGAIN: f"contact regained: {ContactPhase.REGAIN.value}",
+}
+"""What `explain` says of a contact; of the other phases nothing."""
 
 
 class ActiveLimit(NamedTuple):
@@ -87,6 +94,8 @@ class TickReport(NamedTuple):
     dependent_rows: tuple[str, ...]
     signals: Array
     """Recorded quantities, packed in the order of ``Tick.signals``."""
+    contact: ContactPhase = ContactPhase.PRESS
+    """Phase of the contact, as measured."""
 
     @property
     def kkt_residual(self) -> float:
@@ -106,9 +115,10 @@ class TickReport(NamedTuple):
 
     def explain(self) -> str:
         """Return in words why the torque is what it is."""
+        contact = [CONTACT_WORDS[self.contact]] if self.contact in CONTACT_WORDS else []
         if self.status is not Status.OK:
             rows = f": {', '.join(self.dependent_rows)}" if self.dependent_rows else ""
-            return f"fallback torque: {self.status.value}{rows}"
+            return "; ".join([f"fallback torque: {self.status.value}{rows}", *contact])
         law = "KKT solution" if np.isnan(self.curvature) else "hybrid law"
         said = [f"QP = {law} to {self.law_gap:.1e}"] if not self.active else []
         for limit in self.active:
@@ -126,4 +136,4 @@ class TickReport(NamedTuple):
             said.append(
                 f"near a singularity: Λ damped by μ = {self.damping:.2g}, no equality claimed"
             )
-        return "; ".join(said)
+        return "; ".join([*said, *contact])

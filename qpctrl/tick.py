@@ -30,6 +30,10 @@ PIVOT_RATIO = 1e-10
 """A row whose pivot falls below this share of its diagonal depends on the rows before it."""
 
 
+MATRICES = ("H", "A", "C", "G")
+"""Outputs of a tick that are matrices, also for a robot with a single joint."""
+
+
 class Give(NamedTuple):
     """Which rows of ``G x`` measure how far one task can give way."""
 

@@ -20,6 +20,7 @@ from qpctrl.factor import Factor
 from qpctrl.objective import ForceObjective, Scene, TaskExpressions
 from qpctrl.space import TaskSpace
 from qpctrl.spatial import SX
+from tasks.energy import energy_memory, observe_energy
 
 
 @final
@@ -88,9 +89,10 @@ class ForceTask:
         }
 
     def memory(self) -> dict[str, Array]:
-        """Return the ramped set-point, ∫F_e and the filtered external wrench (n each)."""
+        """Return the ramped set-point, ∫F_e, the filtered external wrench, and the observer's."""
         n = self.space.n
-        return {"F_des": np.zeros(n), "integral": np.zeros(n), "F_ext": np.zeros(n)}
+        wrenches = {"F_des": np.zeros(n), "integral": np.zeros(n), "F_ext": np.zeros(n)}
+        return {**wrenches, **energy_memory(n)}
 
     def objective(
         self, scene: Scene, u: Mapping[str, SX], memory: Mapping[str, SX]
@@ -107,8 +109,9 @@ class ForceTask:
         integral = ca.fmin(ca.fmax(grown, -u["integral_max"]), u["integral_max"])
         brake = A.T @ Factor(scene.S).solve(A @ V) if A.shape[0] else 0 * V
         F_cmd = F_des + u["K_fp"] * F_e + u["K_fi"] * integral - u["damping"] * brake
+        given = observe_energy(u["F_meas"], V, memory, scene.dt)
         return TaskExpressions(
             objective=ForceObjective(F_cmd, F_ext),
-            memory={"F_des": F_des, "integral": integral, "F_ext": F_ext},
-            signals={"F_des": F_des, "F_cmd": F_cmd, "F_ext": F_ext},
+            memory={"F_des": F_des, "integral": integral, "F_ext": F_ext, **given.memory},
+            signals={"F_des": F_des, "F_cmd": F_cmd, "F_ext": F_ext, "energy": given.energy},
         )

@@ -15,6 +15,7 @@ from cases import LAW_AGREEMENT, SOLVERS, SPACES, Given, board, chain, given_mod
 
 from qpctrl import (
     Command,
+    ContactPhase,
     Controller,
     InputError,
     Limits,
@@ -272,7 +273,9 @@ def test_integrators_hold_where_contact_is_lost() -> None:
     controller = make_controller()
     before = run(controller, 30)[-1]
     lost = Step(
-        *controller.step("contact", measured(30, in_contact=False), references(0.03), before.memory)
+        *controller.step(
+            "contact", measured(30, contact=ContactPhase.LOSS), references(0.03), before.memory
+        )
     )
     assert lost.report.status is Status.OK
     assert lost.memory.freeze

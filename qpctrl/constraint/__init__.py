@@ -6,7 +6,7 @@ from qpctrl.constraint.edge_on_plane import EdgeOnPlane
 from qpctrl.constraint.embedded import Embedded
 from qpctrl.constraint.face_on_plane import FaceOnPlane
 from qpctrl.constraint.hinge import Hinge
-from qpctrl.constraint.moving import Moving
+from qpctrl.constraint.moving import EnvironmentMotion, Moving
 from qpctrl.constraint.pfaffian import Constraint, Pfaffian, PfaffianRows, row_function
 from qpctrl.constraint.point_on_plane import PointOnPlane
 from qpctrl.constraint.pose_constraint import PoseConstraint
@@ -20,6 +20,7 @@ __all__ = [
     "Drawer",
     "EdgeOnPlane",
     "Embedded",
+    "EnvironmentMotion",
     "FaceOnPlane",
     "Hinge",
     "Moving",

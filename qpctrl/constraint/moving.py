@@ -1,16 +1,41 @@
 """A constraint whose environment moves: a board on a conveyor, a door on a ship."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import final
 
 import numpy as np
+import pinocchio as pin
 
-from qpctrl.arrays import Array
+from qpctrl.arrays import Array, Twist
 from qpctrl.constraint.environment import need_six_axes
 from qpctrl.constraint.pfaffian import Constraint, PfaffianRows
 from qpctrl.space import FrameMotion, TaskSpace
 from qpctrl.spatial import SX, SymbolicPose, compose, inverse, motion_cross, motion_to_parent
+
+
+@final
+@dataclass(frozen=True, kw_only=True, eq=False)
+class EnvironmentMotion:
+    """Where the environment has moved, and how it moves on: the reference of `Moving`.
+
+    Give it under the name of the constraint.
+    """
+
+    X_shift: pin.SE3
+    """Displacement D: a point of the environment that was at p in the world is at D p."""
+    V_env: Twist = field(default_factory=lambda: np.zeros(6))
+    """Body twist V_D (6) [m/s, rad/s] of D."""
+    V_dot_env: Twist = field(default_factory=lambda: np.zeros(6))
+    """Its derivative (6) [m/s², rad/s²]."""
+
+    def arrays(self) -> Mapping[str, Array]:
+        """Return the inputs of the constraint that this motion sets."""
+        return {
+            "X_shift": self.X_shift.homogeneous[:3],
+            "V_env": self.V_env,
+            "V_dot_env": self.V_dot_env,
+        }
 
 
 @final
@@ -24,7 +49,7 @@ class Moving:
     v_c = A Ad V_D,  v̇_c = A (Ad V̇_D + ad_{Ad V_D} V).
 
     Inputs: those of ``whole``; ``X_shift`` (3×4), ``V_env`` (6) and ``V_dot_env`` (6): D, V_D
-    and its derivative, at rest by default.
+    and its derivative, at rest by default. `EnvironmentMotion` sets these three.
     """
 
     whole: Constraint
@@ -54,8 +79,8 @@ class Moving:
 
     def inputs(self) -> dict[str, Array]:
         """Return the inputs of the constraint, and an environment at rest."""
-        rest = {"X_shift": np.eye(4)[:3], "V_env": np.zeros(6), "V_dot_env": np.zeros(6)}
-        return {**self.whole.inputs(), **rest}
+        rest = EnvironmentMotion(X_shift=pin.SE3.Identity())
+        return {**self.whole.inputs(), **rest.arrays()}
 
     def rows(self, motion: FrameMotion, u: Mapping[str, SX]) -> PfaffianRows:
         """Return the rows of the constraint, seen from the environment."""

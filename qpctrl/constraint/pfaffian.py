@@ -130,4 +130,5 @@ def row_function(constraint: Constraint) -> ca.Function:
         [ca.densify(part) for part in rows],
         names,
         ["A", "A_dot_V", "v_c", "v_c_dot"],
+        {"allow_duplicate_io_names": True},  # the inputs of a `Pfaffian` are its rows
     )
