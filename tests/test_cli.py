@@ -102,6 +102,13 @@ def test_missed_criteria_exit_with_1(tmp_path: Path, capsys) -> None:
         ("compare --states 0", "states: got 0"),
         ("compare --second dapq", "did you mean 'daqp'"),
         ("list --jsn", "did you mean '--json'"),
+        ("constraint hinge", "did you mean 'constraints'"),
+        ("constraints hing", "did you mean 'hinge'"),
+        ("constraints face-on-plane", "did you mean 'face_on_plane'"),
+        ("constraints --jsn", "did you mean '--json'"),
+        ("constraints hinge --jsn", "did you mean '--json'"),
+        ("constraints hinge screw", "unexpected argument 'screw'"),
+        ("constraints --json hinge", "unexpected argument 'hinge'"),
     ],
 )
 def test_bad_input_is_one_line_and_exit_2(tmp_path, capsys, monkeypatch, arguments, message):
@@ -145,6 +152,8 @@ def test_help_has_units_and_an_example(capsys) -> None:
     assert "Example: qpctrl run eraser" in said
     assert typed("--help") == 0
     assert "qpctrl compare --states 200" in capsys.readouterr().out
+    assert typed("constraints", "hinge", "--help") == 0
+    assert "Example: qpctrl constraints hinge" in capsys.readouterr().out
 
 
 def test_compare_prints_the_table_and_passes(capsys) -> None:
