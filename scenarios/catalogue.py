@@ -1,13 +1,28 @@
 """All scenarios, by name."""
 
+from scenarios.admittance import Admittance
+from scenarios.conveyor import Conveyor
 from scenarios.crank import Crank
 from scenarios.door import Door
 from scenarios.drawer import Drawer
+from scenarios.edge import Edge
 from scenarios.eraser import Eraser
+from scenarios.force_loop import ForceLoop
+from scenarios.gap import Gap
+from scenarios.haptic import Haptic
+from scenarios.impedance import Impedance
+from scenarios.press import Press
 from scenarios.scenario import Scenario
 from scenarios.sphere import Sphere
+from scenarios.stiff_wall import StiffWall
+from scenarios.valve import Valve
+from scenarios.virtual_wall import VirtualWall
 
 SCENARIOS: dict[str, type[Scenario]] = {
-    kind.name: kind for kind in (Eraser, Door, Drawer, Crank, Sphere)
+    kind.name: kind
+    for kind in (
+        *(Eraser, Gap, Edge, Conveyor, Sphere, Door, Drawer, Crank, Valve, Press, ForceLoop),
+        *(Haptic, Impedance, VirtualWall, Admittance, StiffWall),
+    )
 }
 """Scenario classes by the name that the command line uses."""

@@ -14,13 +14,16 @@ from scenarios.guided import (
     FLANGE,
     CirclePath,
     Guidance,
+    Scenery,
     ThereAndBack,
+    arc,
     arm_at_home,
     guided_criteria,
     guided_experiment,
     guided_metrics,
 )
-from scenarios.scenario import Criterion, Experiment, Options
+from scenarios.panel import Panel, environment_panels
+from scenarios.scenario import Criterion, Experiment, Options, Outcome
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,7 +58,10 @@ class Crank:
         stroke = ThereAndBack(far=2 * np.pi * self.turns, speed=self.speed / self.radius)
         handle = Handle(space=FLANGE, X_WE=X_WE, name="handle")
         guidance = Guidance(
-            stroke=stroke, reference=circle.reference, wrench=circle.radial(self.force)
+            stroke=stroke,
+            reference=circle.reference,
+            wrench=circle.radial(self.force),
+            scenery=Scenery(X_WE, (0, 1), arc(self.radius)),
         )
         return guided_experiment(arm, handle, guidance, options)
 
@@ -67,3 +73,9 @@ class Crank:
         """Return the scenario's own criteria on its metrics."""
         limits = {"force_error_share": (0.02, ""), "position_rmse_mm": (0.05, "mm")}
         return guided_criteria(metrics, limits)
+
+    def panels(self, outcome: Outcome) -> tuple[Panel, ...]:
+        """Return the path of the handle, forces, moments and pose errors."""
+        return environment_panels(
+            outcome.table, outcome.experiment.geometry, "seen along the crank's axis"
+        )

@@ -13,6 +13,7 @@ from qpctrl.constraint import Hinge
 from scenarios.guided import (
     FLANGE,
     Guidance,
+    Scenery,
     ThereAndBack,
     TwistPath,
     arm_at_home,
@@ -21,7 +22,8 @@ from scenarios.guided import (
     guided_experiment,
     guided_metrics,
 )
-from scenarios.scenario import Criterion, Experiment, Options
+from scenarios.panel import Panel, environment_panels
+from scenarios.scenario import Criterion, Experiment, Options, Outcome
 
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -62,6 +64,7 @@ class Door:
             stroke=ThereAndBack(far=np.radians(self.angle), speed=np.radians(self.speed)),
             reference=TwistPath(X_W0=X_WF, xi_W=opening).reference,
             wrench=lambda stroke: push,
+            scenery=Scenery(X_WE, (0, 1), np.array([[0.0, 0.0], [self.radius, 0.0]])),
         )
         return guided_experiment(arm, hinge, guidance, options)
 
@@ -74,3 +77,9 @@ class Door:
         """Return the scenario's own criteria on its metrics."""
         limits = {"force_error_share": (0.02, ""), "hinge_angle_rmse_deg": (0.2, "deg")}
         return guided_criteria(metrics, limits)
+
+    def panels(self, outcome: Outcome) -> tuple[Panel, ...]:
+        """Return the path of the handle, forces, moments and pose errors."""
+        return environment_panels(
+            outcome.table, outcome.experiment.geometry, "seen along the hinge"
+        )

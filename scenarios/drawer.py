@@ -13,6 +13,7 @@ from qpctrl.constraint import Drawer as Slide
 from scenarios.guided import (
     FLANGE,
     Guidance,
+    Scenery,
     ThereAndBack,
     TwistPath,
     arm_at_home,
@@ -21,7 +22,8 @@ from scenarios.guided import (
     guided_experiment,
     guided_metrics,
 )
-from scenarios.scenario import Criterion, Experiment, Options
+from scenarios.panel import Panel, environment_panels
+from scenarios.scenario import Criterion, Experiment, Options, Outcome
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,6 +61,7 @@ class Drawer:
                 X_W0=X_WF, xi_W=pin.Motion(X_WE.rotation[:, 0], np.zeros(3)).vector
             ).reference,
             wrench=lambda stroke: push,
+            scenery=Scenery(X_WE, (0, 1)),
         )
         return guided_experiment(arm, slide, guidance, options)
 
@@ -70,3 +73,9 @@ class Drawer:
         """Return the scenario's own criteria on its metrics."""
         limits = {"force_error_share": (0.02, ""), "position_rmse_mm": (0.05, "mm")}
         return guided_criteria(metrics, limits)
+
+    def panels(self, outcome: Outcome) -> tuple[Panel, ...]:
+        """Return the path of the drawer, forces, moments and pose errors."""
+        return environment_panels(
+            outcome.table, outcome.experiment.geometry, "seen from above the slides"
+        )

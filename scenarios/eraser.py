@@ -19,13 +19,15 @@ from qpctrl.mode import Mode
 from qpctrl.objective import Weighted
 from qpctrl.space import TaskSpace
 from scenarios.metric import wiping_metrics
+from scenarios.panel import Panel, board_panels
 from scenarios.plant import Plant
 from scenarios.plant_mujoco import MujocoPlant
 from scenarios.plant_rigid import RigidPlant
-from scenarios.scenario import Criterion, Experiment, Options
+from scenarios.report_energy import energy_panel
+from scenarios.scenario import Criterion, Experiment, Options, Outcome
 from scenarios.wiping import WipingGuide, WipingPlan
 from scenarios.world import TOOL, Pad, World, build_world
-from tasks import ForceTask, MotionTask, PostureTask
+from tasks import EnergyTask, ForceTask, MotionTask, PostureTask
 
 SPACE = TaskSpace(TOOL)
 DT = 1e-3  # s, the control period and the step of the plants
@@ -93,6 +95,7 @@ class Eraser:
             speed=self.speed,
             duration=self.duration,
             dt=DT,
+            damping=self.damping,
             start_on_board=rigid,
         )
         return Experiment(
@@ -106,7 +109,7 @@ class Eraser:
                 law=options.law,
             ),
             plant=self._plant(world, options.seed),
-            guide=WipingGuide(plan),
+            guide=WipingGuide(plan, lambda q: robot.pose(q, TOOL)),
             start_mode="contact" if rigid else "free",
             q_start=robot.home,
             horizon=plan.longest,
@@ -117,10 +120,10 @@ class Eraser:
         """Return the modes ``free`` and ``contact`` of the controller."""
         motion = MotionTask(space=SPACE, K_p=self.k_p, K_i=self.k_i, K_d=self.k_d)
         force = ForceTask(space=SPACE, K_fp=self.k_fp, K_fi=self.k_fi, damping=self.damping)
-        posture = PostureTask(q_ref=world.robot.home)
+        watch, posture = EnergyTask(space=SPACE), PostureTask(q_ref=world.robot.home)
         board = FaceOnPlane(space=SPACE, R_WE=world.X_WE.rotation, name="board")
         return (
-            Mode(name="free", tasks=(Weighted(motion), Weighted(posture))),
+            Mode(name="free", tasks=(Weighted(motion), Weighted(watch), Weighted(posture))),
             Mode(
                 name="contact",
                 tasks=(Weighted(motion), Weighted(force), Weighted(posture)),
@@ -146,6 +149,12 @@ class Eraser:
             ("qp_law_gap_max", 1e-8, "× max |τ|"),
         ]
         return tuple(Criterion(name, metrics[name], limit, unit) for name, limit, unit in limits)
+
+    def panels(self, outcome: Outcome) -> tuple[Panel, ...]:
+        """Return path, position error and force on the board, and the energy given to it."""
+        table = outcome.table
+        board = board_panels(outcome.summary, table, outcome.experiment.geometry)
+        return (*board, energy_panel(table))
 
     def _plant(self, world: World, seed: int) -> Plant:
         if self.plant == "rigid":

@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 import polars as pl
 
-from qpctrl.arrays import Twist, Vector, Wrench
+from qpctrl.arrays import Matrix, Twist, Vector, Wrench
 from qpctrl.constraint import Constraint
 from qpctrl.controller import Controller
 from qpctrl.mode import Mode
@@ -132,6 +132,23 @@ class CirclePath:
         return lambda stroke: np.concatenate([force * self.outward(stroke.s), np.zeros(3)])
 
 
+class Scenery(NamedTuple):
+    """The plane in which the tool moves, for a picture of the run."""
+
+    X_WE: pin.SE3
+    """Frame of the environment."""
+    plane: tuple[int, int]
+    """Axes of E that are drawn to the right and up."""
+    outline: Matrix = np.zeros((0, 2))
+    """The environment itself (samples×2) [m] in that plane."""
+
+
+def arc(radius: float, start: float = 0.0, end: float = 2 * np.pi) -> Matrix:
+    """Return points (samples×2) [m] on a circle about the origin, between two angles [rad]."""
+    angle = np.linspace(start, end, 181)
+    return radius * np.column_stack([np.cos(angle), np.sin(angle)])
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Guidance:
     """How the reference runs, and the wrench that is held meanwhile."""
@@ -140,6 +157,8 @@ class Guidance:
     reference: Callable[[Stroke], MotionReference]
     wrench: Callable[[Stroke], Wrench]
     """Set-point on the environment (6) [N, Nm] in the tool frame."""
+    scenery: "Scenery"
+    """Where it happens, for the picture."""
 
 
 class GuidedJob:
@@ -156,7 +175,7 @@ class GuidedJob:
         stroke = plan.stroke.at(t)
         force = ForceReference(F_ref=plan.wrench(stroke), F_meas=state.wrench_meas)
         references: dict[str, Reference] = {"motion": plan.reference(stroke), "force": force}
-        return Directive("press" if t < 0 else "move", MODE, references, in_contact=True)
+        return Directive("press" if t < 0 else "move", MODE, references)
 
 
 class Gains(NamedTuple):
@@ -175,17 +194,17 @@ def arm_at_home(robot: str) -> tuple[Robot, pin.SE3]:
     return arm, arm.pose(arm.home, FLANGE.frame)
 
 
-def guided_experiment(
-    robot: Robot, constraint: Constraint, guidance: Guidance, options: Options
-) -> Experiment:
-    """Return the experiment of a tool on ``constraint``, which the controller knows exactly."""
-    gains = Gains()
+def guided_controller(
+    robot: Robot, constraint: Constraint, options: Options, gains: Gains | None = None
+) -> Controller:
+    """Return the controller of a tool on ``constraint``, with the one mode `MODE`."""
+    gains = gains or Gains()
     tasks = (
         Weighted(MotionTask(space=FLANGE, K_p=gains.K_p, K_d=gains.K_d)),
         Weighted(ForceTask(space=FLANGE, K_fp=gains.K_fp, K_fi=gains.K_fi, damping=gains.damping)),
         Weighted(PostureTask(q_ref=robot.home)),
     )
-    controller = Controller(
+    return Controller(
         robot,
         [Mode(name=MODE, tasks=tasks, constraints=(constraint,))],
         dt=DT,
@@ -193,16 +212,34 @@ def guided_experiment(
         form=options.form,
         law=options.law,
     )
+
+
+def guided_experiment(
+    robot: Robot, constraint: Constraint, guidance: Guidance, options: Options
+) -> Experiment:
+    """Return the experiment of a tool on ``constraint``, which the controller knows exactly."""
     return Experiment(
         robot=robot,
-        controller=controller,
+        controller=guided_controller(robot, constraint, options),
         plant=RigidPlant(robot, constraint, dt=DT),
         guide=GuidedJob(guidance),
         start_mode=MODE,
         q_start=robot.home,
         horizon=PRESS_TIME + 2 * guidance.stroke.half + 1.0,
-        geometry={},
+        geometry={
+            "X_WE": guidance.scenery.X_WE.homogeneous,
+            "plane": np.array(guidance.scenery.plane, dtype=np.float64),
+            "outline": guidance.scenery.outline,
+            "reference": _sampled(guidance),
+        },
     )
+
+
+def _sampled(guidance: Guidance) -> Matrix:
+    """Return points (samples×3) [m] of the reference on its way out, in the world."""
+    times = np.linspace(0.0, guidance.stroke.half, 200)
+    poses = [guidance.reference(guidance.stroke.at(float(t))).X_WD for t in times]
+    return np.array([X_WD.translation for X_WD in poses])
 
 
 def guided_metrics(table: pl.DataFrame) -> dict[str, float]:

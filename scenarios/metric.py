@@ -1,10 +1,17 @@
 """Metrics of a run, named once for all scenarios. Gaps are relative: max |Δτ| / max |τ|."""
 
+from typing import NamedTuple
+
 import numpy as np
+import pinocchio as pin
 import polars as pl
 
 from qpctrl.arrays import Matrix, Vector
+from qpctrl.contact import ContactPhase
 from scenarios.record import fallback_count
+
+SETTLE_TIME = 0.5
+"""Time [s] from regaining contact until the force is judged as that of wiping."""
 
 
 def wiping_metrics(table: pl.DataFrame, force: float) -> dict[str, float]:
@@ -33,6 +40,70 @@ def wiping_metrics(table: pl.DataFrame, force: float) -> dict[str, float]:
     }
 
 
+class LossEvents(NamedTuple):
+    """When contact was lost and regained."""
+
+    gone: float
+    """Time [s] of the last tick at which tool and environment touched."""
+    lost: float
+    """Time [s] at which the contact counted as lost."""
+    regained: float
+    """Time [s] at which the environment was felt again."""
+
+
+def loss_events(table: pl.DataFrame) -> LossEvents | None:
+    """Return the first loss of contact in a record, or none without loss and regain."""
+    time, contact = column(table, "time"), table["contact"].to_numpy()
+    lost_at, regained_at = ContactPhase.LOSS.name, ContactPhase.REGAIN.name
+    ticks, start = [], 0
+    for mark in (~table["touching"].to_numpy(), contact == lost_at, contact == regained_at):
+        after = np.flatnonzero(mark[start:])
+        if not len(after):
+            return None
+        start += int(after[0])
+        ticks.append(start)
+    open_at, lost, regained = ticks
+    return LossEvents(*(float(time[i]) for i in (max(open_at - 1, 0), lost, regained)))
+
+
+def normal_speed(table: pl.DataFrame) -> Vector:
+    """Return the speed of the tool (ticks) [m/s] along z of its desired frame."""
+    turn = np.stack([column(table, f"motion.X_e.{i}") for i in (3, 4, 5)], axis=1)
+    velocity = np.stack([column(table, f"motion.V.{i}") for i in range(3)], axis=1)
+    normal = np.array([pin.exp3(rotation)[:, 2] for rotation in turn]).reshape(-1, 3)
+    return (normal * velocity).sum(axis=1)
+
+
+def loss_metrics(table: pl.DataFrame, *, force: float, speed: float) -> dict[str, float]:
+    """Return how a tool that wipes lost contact and regained it, by true forces and velocities.
+
+    Args:
+        table: the record of wiping.
+        force: set-point [N] along tool z.
+        speed: set speed of the search [m/s], which the tool shall not exceed from the last touch
+            until the regain.
+    """
+    events = loss_events(table)
+    if events is None:
+        return dict.fromkeys(_LOSS_NAMES, float("nan"))
+    losses = table["contact"] == ContactPhase.LOSS.name
+    gap = table.filter(pl.col("time").is_between(events.gone, events.regained))
+    landing = table.filter(pl.col("time") >= events.regained)
+    error = column(landing.filter(pl.col("time") >= events.regained + SETTLE_TIME), "wrench.fz")
+    error -= force
+    place = np.stack([column(table, f"motion.X_e.{i}") for i in range(2)], axis=1)
+    return {
+        "loss_speed_ratio": float(normal_speed(gap).max()) / speed,
+        "loss_noticed_ms": 1e3 * (events.lost - events.gone),
+        "regain_time_s": events.regained - events.gone,
+        "regain_peak_ratio": float(column(landing, "wrench.fz").max()) / force,
+        "contact_losses": float((losses & ~losses.shift(1, fill_value=False)).sum()),
+        "force_rmse_N": rms(error) if len(error) else float("nan"),
+        "force_bias_abs_N": float(abs(error.mean())) if len(error) else float("nan"),
+        "position_rmse_mm": 1e3 * rms_norm(place),
+    }
+
+
 def tick_metrics(table: pl.DataFrame) -> dict[str, float]:
     """Return gaps on unsaturated ticks, and how many ticks saturated or fell back."""
     free = table.filter(~pl.col("saturated") & (pl.col("status") == "OK"))
@@ -50,6 +121,7 @@ def whole_run_metrics(table: pl.DataFrame) -> dict[str, float]:
     """Return counts and timing of the whole run."""
     timing = column(table, "tick_us")
     return {
+        **energy_metrics(table),
         "fallback_ticks_total": float(fallback_count(table)),
         "tick_us_median": float(np.median(timing)),
         "tick_us_p99": float(np.quantile(timing, 0.99)),
@@ -57,6 +129,19 @@ def whole_run_metrics(table: pl.DataFrame) -> dict[str, float]:
     }
 
 
+def energy_metrics(table: pl.DataFrame) -> dict[str, float]:
+    """Return the energy given to the environment in the whole run, where a task observes it."""
+    observers = [name for name in table.columns if name.endswith(".energy.0")]
+    energies = [column(table, name) for name in observers]
+    known = [energy[np.isfinite(energy)] for energy in energies]
+    ends = [float(energy[-1]) for energy in known if len(energy)]
+    return {"energy_to_environment_J": sum(ends)} if ends else {}
+
+
+_LOSS_NAMES = (
+    *("loss_speed_ratio", "loss_noticed_ms", "regain_time_s", "regain_peak_ratio"),
+    *("contact_losses", "force_rmse_N", "force_bias_abs_N", "position_rmse_mm"),
+)
 _NAMES = (
     *("force_rmse_N", "force_bias_N", "force_bias_abs_N", "force_peak_N", "touch_peak_ratio"),
     *("position_rmse_mm", "orientation_rmse_deg", "tilt_max_deg", "contact_loss_fraction"),

@@ -16,6 +16,8 @@ class PlantState(NamedTuple):
     """Velocity (nv) [rad/s or m/s]."""
     wrench_meas: Wrench
     """Robot on environment (6) [N, Nm], in the tool frame; one period old."""
+    wrench: Wrench
+    """The same without the sensor's errors."""
     touching: bool
     """Whether tool and environment touch, as the plant knows it."""
 

@@ -14,18 +14,25 @@ from scenarios.world import SENSOR, TOOL, World
 class MujocoPlant:
     """The scene of a world, driven by joint torques."""
 
-    def __init__(self, world: World, *, force_noise: float = 0.0, seed: int = 0) -> None:
+    def __init__(
+        self, world: World, *, frame: str = TOOL, force_noise: float = 0.0, seed: int = 0
+    ) -> None:
         """Prepare the plant.
 
         Args:
             world: the scene.
+            frame: frame of the eraser at which the wrench is given, along its axes.
             force_noise: standard deviation of each measured force [N]; moments get a tenth
                 of the number [Nm].
             seed: seed of that noise.
+
+        Raises:
+            InputError: no such frame.
         """
+        world.robot.frame_id(frame)
         self._model = world.model
         self._data = mujoco.MjData(world.model)
-        self._sensor = WrenchSensor(*_tool(world.model))
+        self._sensor = WrenchSensor(*_tool(world.model, frame))
         self._site = world.model.site(SENSOR).id
         self._channels = {
             name: self._data.sensor(f"qpctrl/{name}").data
@@ -55,6 +62,10 @@ class MujocoPlant:
         arm = point - self._data.xipos[body]
         self._data.xfrc_applied[body] = np.r_[F_W[:3], F_W[3:] + np.cross(arm, F_W[:3])]
 
+    def move_board(self, way_W: Vector) -> None:
+        """Move the board by ``way_W`` (3) [m], world axes, from one period to the next."""
+        self._model.body("qpctrl/board").pos[:] += way_W
+
     def _state(self) -> PlantState:
         data, read = self._data, self._channels
         R_WS = data.site_xmat[self._site].reshape(3, 3)
@@ -67,19 +78,21 @@ class MujocoPlant:
                 angular_acceleration=R_WS.T @ read["angular acceleration"],
             )
         )
+        measured = wrench
         if self._noise[0] > 0:
-            wrench = wrench + self._noise * self._rng.normal(size=6)
+            measured = wrench + self._noise * self._rng.normal(size=6)
         return PlantState(
             time=float(data.time),
             q=data.qpos.copy(),
             v=data.qvel.copy(),
-            wrench_meas=wrench,
+            wrench_meas=measured,
+            wrench=wrench,
             touching=bool(data.ncon > 0),
         )
 
 
-def _tool(model: mujoco.MjModel) -> tuple[pin.Inertia, pin.SE3]:
-    """Return the eraser's inertia in the sensor frame, and the tool frame there."""
+def _tool(model: mujoco.MjModel, frame: str) -> tuple[pin.Inertia, pin.SE3]:
+    """Return the eraser's inertia in the sensor frame, and the pose of ``frame`` there."""
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     X_WS = frame_pose(model, data, SENSOR)
@@ -87,4 +100,4 @@ def _tool(model: mujoco.MjModel) -> tuple[pin.Inertia, pin.SE3]:
     R_WI = data.ximat[body].reshape(3, 3)
     about_com = R_WI @ np.diag(model.body_inertia[body]) @ R_WI.T
     in_world = pin.Inertia(float(model.body_mass[body]), data.xipos[body].copy(), about_com)
-    return X_WS.actInv(in_world), X_WS.inverse() * frame_pose(model, data, TOOL)
+    return X_WS.actInv(in_world), X_WS.inverse() * frame_pose(model, data, frame)

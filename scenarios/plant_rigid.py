@@ -4,10 +4,12 @@ Dynamics by pinocchio, independent of the controller's expressions; the constrai
 one, which need not be what the controller believes.
 """
 
+from collections.abc import Callable, Mapping
+
 import numpy as np
 import pinocchio as pin
 
-from qpctrl.arrays import Matrix, Vector
+from qpctrl.arrays import Array, Matrix, Vector
 from qpctrl.constraint import Constraint, row_function
 from qpctrl.evaluator import Evaluator
 from qpctrl.robot import Robot
@@ -21,12 +23,29 @@ class RigidPlant:
     the constraint in the metric M.
     """
 
-    def __init__(self, robot: Robot, constraint: Constraint, *, dt: float = 1e-3) -> None:
+    def __init__(
+        self,
+        robot: Robot,
+        constraint: Constraint,
+        *,
+        environment: Callable[[float], Mapping[str, Array]] | None = None,
+        dt: float = 1e-3,
+    ) -> None:
+        """Prepare the plant.
+
+        Args:
+            robot: the true robot.
+            constraint: the true constraint.
+            environment: inputs of the constraint by name, as a function of time [s]; those that
+                it leaves out keep their defaults. It starts at rest, since the robot does.
+            dt: period [s].
+        """
         self._model, self._data = robot.model, robot.model.createData()
         self._frame, self._index = robot.frame_id(constraint.space.frame), constraint.space.index
         self._rows = Evaluator(row_function(constraint))
         for name, value in constraint.inputs().items():
             self._rows.inputs[name][...] = value
+        self._environment = environment
         self._dt = dt
         self._time = 0.0
         self._q, self._v = np.zeros(robot.nv), np.zeros(robot.nv)
@@ -34,6 +53,7 @@ class RigidPlant:
     def reset(self, q: Vector) -> PlantState:
         """Return the state at rest in ``q`` (nq), with no force on the environment."""
         self._time, self._q, self._v = 0.0, np.array(q), np.zeros_like(q)
+        self._move_environment(self._time)
         return self._state(np.zeros(6))
 
     def step(self, tau: Vector) -> PlantState:
@@ -41,18 +61,28 @@ class RigidPlant:
 
         The wrench is that of the start of the period, where the torque was computed.
         """
-        q, v, dt = self._q, self._v, self._dt
+        q, v, dt, t = self._q, self._v, self._dt, self._time
         a1, wrench = self.accelerate(q, v, tau)
+        self._move_environment(t + dt / 2)
         a2, _ = self.accelerate(q + dt / 2 * v, v + dt / 2 * a1, tau)
         a3, _ = self.accelerate(q + dt / 2 * v + dt**2 / 4 * a1, v + dt / 2 * a2, tau)
+        self._move_environment(t + dt)
         a4, _ = self.accelerate(q + dt * v + dt**2 / 2 * a2, v + dt * a3, tau)
         self._q = q + dt * v + dt**2 / 6 * (a1 + a2 + a3)
         self._v = self._project(self._q, v + dt / 6 * (a1 + 2 * a2 + 2 * a3 + a4))
         self._time += dt
         return self._state(wrench)
 
+    def _move_environment(self, time: float) -> None:
+        if self._environment is not None:
+            for name, value in self._environment(time).items():
+                self._rows.inputs[name][...] = value
+
     def accelerate(self, q: Vector, v: Vector, tau: Vector) -> tuple[Vector, Vector]:
-        """Return acceleration (nv) and wrench on the environment (6) [N, Nm] under ``tau``."""
+        """Return acceleration (nv) and wrench on the environment (6) [N, Nm] under ``tau``.
+
+        The environment is where it was last put.
+        """
         M, h, J, drift, A, A_dot_V, _, v_c_dot = self._terms(q, v)
         AJ = A @ J
         k = len(A)
@@ -86,4 +116,4 @@ class RigidPlant:
         return M, h, J[self._index], drift[self._index], *rows.outputs.values()
 
     def _state(self, wrench: Vector) -> PlantState:
-        return PlantState(self._time, self._q.copy(), self._v.copy(), wrench, touching=True)
+        return PlantState(self._time, self._q.copy(), self._v.copy(), wrench, wrench, touching=True)

@@ -19,7 +19,7 @@ SCALARS = (
     *("time", "law_gap", "textbook_gap", "unexplained_gap"),
     *("curvature", "damping", "kkt_residual", "tick_us"),
 )
-WORDS = ("phase", "mode", "status", "active", "explanation")
+WORDS = ("phase", "mode", "contact", "status", "active", "explanation")
 MARKS = ("fallback", "touching", "saturated")
 WRENCH = ("fx", "fy", "fz", "mx", "my", "mz")
 
@@ -45,7 +45,7 @@ class Record:
             **dict.fromkeys(("q", "v"), joints),
             **dict.fromkeys(("tau", "tau_qp", "tau_hybrid", "tau_textbook"), actuators),
             **dict.fromkeys(("tau_delivered", "tau_meas"), joints),
-            "wrench_meas": WRENCH,
+            **dict.fromkeys(("wrench_meas", "wrench"), WRENCH),
         }
         self._common = [*SCALARS, *(f"{name}.{part}" for name, v in vectors.items() for part in v)]
         self._own = {mode: _own_columns(e.tick) for mode, e in controller.engines.items()}
@@ -65,13 +65,13 @@ class Record:
         delivered = self._B @ command.tau  # ideal joints deliver and measure what is commanded
         vectors = (
             *(scalars, state.q, state.v, command.tau, report.tau_qp, report.tau_hybrid),
-            *(report.tau_textbook, delivered, delivered, state.wrench_meas),
+            *(report.tau_textbook, delivered, delivered, state.wrench_meas, state.wrench),
             *(report.lam, report.signals),
         )
         self._rows.append(np.concatenate(vectors))
         eventful = report.saturated or report.damping > 0 or command.fallback
         words = (
-            *(tick.directive.phase, report.mode, report.status.name),
+            *(tick.directive.phase, report.mode, tick.directive.contact.name, report.status.name),
             ", ".join(limit.name for limit in report.active) if eventful else "",
             report.explain() if eventful else "",
         )

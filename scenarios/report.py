@@ -3,15 +3,14 @@
 import json
 from collections.abc import Mapping, Sequence
 from html import escape
-from typing import Any, NamedTuple
+from typing import Any
 
 import polars as pl
 from plotly.offline import get_plotlyjs
 
-from qpctrl.arrays import Array
 from qpctrl.status import Status
-from scenarios import report_figure
-from scenarios.report_style import CSS, Figure, number, packed
+from scenarios.panel import Panel, common_panels
+from scenarios.report_style import CSS, number, packed
 
 FEW = 5  # fallback ticks that are listed one by one
 
@@ -84,26 +83,15 @@ def _plain(value: Any) -> str:
     return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
 
 
-class Panel(NamedTuple):
-    """A figure with its words."""
-
-    key: str
-    title: str
-    caption: str
-    figure: Figure | None
-
-
-def render_report(
-    summary: Mapping[str, Any], table: pl.DataFrame, geometry: Mapping[str, Array]
-) -> str:
+def render_report(summary: Mapping[str, Any], table: pl.DataFrame, own: Sequence[Panel]) -> str:
     """Return the page; it needs no network and no other file.
 
     Args:
         summary: what summary.json holds; a metric may be null.
         table: the record, one row a tick; a column may be missing.
-        geometry: ``X_WE``, pose (4×4) of the board, and ``loops`` (samples×2) [m], the path on it.
+        own: the scenario's own pictures, which come first.
     """
-    panels = _panels(summary, table, geometry)
+    panels = [*own, *common_panels(table)]
     figures = {panel.key: panel.figure for panel in panels if panel.figure}
     data = json.dumps(figures, default=packed, ensure_ascii=False).replace("<", "\\u003c")
     body = (
@@ -129,38 +117,6 @@ _DRAW = """for (const [key, figure] of Object.entries(figures))
   Plotly.newPlot(key, figure.data, figure.layout, {responsive: true,
     displaylogo: false, showSendToCloud: false, plotlyServerURL: ""});
 """
-
-
-def _panels(
-    summary: Mapping[str, Any], table: pl.DataFrame, geometry: Mapping[str, Array]
-) -> list[Panel]:
-    limits = {c["name"]: c["limit"] for c in summary["criteria"] if c["limit"] is not None}
-    draw = report_figure
-    return [
-        Panel(
-            "path",
-            "Path on the board",
-            "As you see it when you face the board. Lighter: where the 120 × 50 mm pad passed.",
-            draw.path_figure(table, geometry),
-        ),
-        Panel(
-            "error",
-            "Position error and tilt",
-            "Desired − actual, in the plane of the board. The range is that of wiping.",
-            draw.error_figure(table, limits),
-        ),
-        Panel(
-            "force",
-            "Force on the board",
-            "Measured by the sensor in the wrist, robot on board. Below: measured − set-point.",
-            draw.force_figure(table, limits),
-        ),
-        Panel("torque", "Joint torque", draw.torque_words(table), draw.torque_figure(table)),
-        Panel(
-            "equality", "QP and closed form", draw.equal_words(table), draw.equality_figure(table)
-        ),
-        Panel("timing", "Tick time", draw.timing_words(table), draw.timing_figure(table)),
-    ]
 
 
 def _header(summary: Mapping[str, Any]) -> str:
@@ -274,17 +230,22 @@ def _fallbacks(table: pl.DataFrame) -> list[str]:
 
 
 def _sections(panels: Sequence[Panel]) -> str:
-    """Return the figures, the first two side by side."""
-    sections = [
-        f'<section><h2>{panel.title}</h2><p class="caption">{escape(panel.caption)}</p>'
-        f'<div id="{panel.key}" role="img" aria-label="{panel.title}"></div></section>'
-        for panel in panels
-    ]
-    if not sections:
-        return "<section><p>Nothing was recorded.</p></section>"
-    if [panel.key for panel in panels[:2]] == ["path", "error"]:
-        sections[:2] = [f'<div class="pair">{sections[0]}{sections[1]}</div>']
-    return "\n".join(sections)
+    """Return the figures, half ones side by side."""
+    sections, pending = [], ""
+    for panel in panels:
+        section = (
+            f'<section><h2>{escape(panel.title)}</h2><p class="caption">{escape(panel.caption)}</p>'
+            f'<div id="{panel.key}" role="img" aria-label="{escape(panel.title)}"></div></section>'
+        )
+        if panel.half and pending:
+            section, pending = f'<div class="pair">{pending}{section}</div>', ""
+        elif panel.half:
+            pending = section
+            continue
+        sections += [pending, section]
+        pending = ""
+    sections.append(pending)
+    return "\n".join(sections).strip() or "<section><p>Nothing was recorded.</p></section>"
 
 
 def _details(summary: Mapping[str, Any]) -> str:

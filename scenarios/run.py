@@ -12,35 +12,18 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import polars as pl
 from polars.exceptions import PolarsError
 
 from qpctrl.errors import InputError
 from scenarios.record import write_parquet
 from scenarios.report import render_report
-from scenarios.scenario import Experiment, Options, Scenario
+from scenarios.scenario import Options, Outcome, Scenario
 from scenarios.simulation import simulate
 
 FILES = ("summary.json", "ticks.parquet", "report.html")
 """What a run leaves behind."""
 
 VERSIONED = ("qpctrl", "casadi", "mujoco", "numpy", "pin", "proxsuite", "qpsolvers")
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
-class Outcome:
-    """A finished run."""
-
-    experiment: Experiment
-    table: pl.DataFrame
-    """One row a tick."""
-    summary: dict[str, Any]
-    """What summary.json holds."""
-
-    @property
-    def passed(self) -> bool:
-        """Whether every criterion of the scenario holds."""
-        return bool(self.summary["passed"])
 
 
 def run_scenario(
@@ -83,7 +66,7 @@ def run_scenario(
     }
     outcome = Outcome(experiment=experiment, table=table, summary=_plain(summary))
     if out is not None:
-        write_outcome(outcome, out)
+        write_outcome(scenario, outcome, out)
     return outcome
 
 
@@ -111,7 +94,7 @@ def writable_folder(path: Path) -> Path:
     return path
 
 
-def write_outcome(outcome: Outcome, folder: Path) -> None:
+def write_outcome(scenario: Scenario, outcome: Outcome, folder: Path) -> None:
     """Write summary.json, ticks.parquet and report.html; all of them or none.
 
     Raises:
@@ -124,7 +107,7 @@ def write_outcome(outcome: Outcome, folder: Path) -> None:
             write_parquet(outcome.table, staging / "ticks.parquet")
             text = json.dumps(outcome.summary, indent=2, ensure_ascii=False, allow_nan=False)
             (staging / "summary.json").write_text(text + "\n", encoding="utf-8")
-            html = render_report(outcome.summary, outcome.table, outcome.experiment.geometry)
+            html = render_report(outcome.summary, outcome.table, scenario.panels(outcome))
             (staging / "report.html").write_text(html, encoding="utf-8")
             for file in sorted(staging.iterdir()):
                 file.replace(folder / file.name)

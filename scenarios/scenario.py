@@ -2,15 +2,17 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal, NamedTuple, Protocol
+from typing import Any, Literal, NamedTuple, Protocol
 
 import polars as pl
 
 from qpctrl.arrays import Array
+from qpctrl.contact import ContactPhase
 from qpctrl.controller import Controller
 from qpctrl.errors import InputError
 from qpctrl.objective import Reference
 from qpctrl.robot import Robot
+from scenarios.panel import Panel
 from scenarios.plant import Plant, PlantState
 
 
@@ -20,7 +22,7 @@ class Directive(NamedTuple):
     phase: str
     mode: str
     references: Mapping[str, Reference]
-    in_contact: bool
+    contact: ContactPhase = ContactPhase.PRESS
 
 
 class Guide(Protocol):
@@ -58,7 +60,7 @@ class Criterion(NamedTuple):
     @property
     def passed(self) -> bool:
         """Whether it holds; a NaN does not."""
-        return self.value <= self.limit
+        return bool(self.value <= self.limit)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,6 +79,22 @@ class Options:
     def __post_init__(self) -> None:
         if self.seed < 0:
             raise InputError(f"seed: got {self.seed}, need a number >= 0")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Outcome:
+    """A finished run."""
+
+    experiment: Experiment
+    table: pl.DataFrame
+    """One row a tick."""
+    summary: dict[str, Any]
+    """What summary.json holds."""
+
+    @property
+    def passed(self) -> bool:
+        """Whether every criterion of the scenario holds."""
+        return bool(self.summary["passed"])
 
 
 class Scenario(Protocol):
@@ -98,3 +116,6 @@ class Scenario(Protocol):
 
     def judge(self, metrics: Mapping[str, float]) -> tuple[Criterion, ...]:
         """Return the scenario's own criteria on its metrics."""
+
+    def panels(self, outcome: Outcome) -> tuple[Panel, ...]:
+        """Return the pictures of a run that a person would look at first."""

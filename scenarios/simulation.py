@@ -31,7 +31,7 @@ def simulate(
         directive = guide.direct(state)
         if directive is None:
             break
-        measurement = Measurement(state.time, state.q, state.v, directive.in_contact)
+        measurement = Measurement(state.time, state.q, state.v, directive.contact)
         started = clock()
         command, report, memory = controller.step(
             directive.mode, measurement, directive.references, memory

@@ -19,14 +19,17 @@ from scenarios.guided import (
     FLANGE,
     CirclePath,
     Guidance,
+    Scenery,
     ThereAndBack,
     TwistPath,
+    arc,
     arm_at_home,
     guided_criteria,
     guided_experiment,
     guided_metrics,
 )
-from scenarios.scenario import Criterion, Experiment, Options
+from scenarios.panel import Panel, environment_panels
+from scenarios.scenario import Criterion, Experiment, Options, Outcome
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,6 +82,7 @@ class Sphere:
             stroke=ThereAndBack(far=np.radians(self.swing), speed=self.speed / self.radius),
             reference=turning.reference if face else circle.reference,
             wrench=(lambda stroke: push) if face else circle.radial(-self.force),
+            scenery=Scenery(X_WE, (1, 2), arc(self.radius)),
         )
         return guided_experiment(arm, ball, guidance, options)
 
@@ -90,3 +94,9 @@ class Sphere:
         """Return the scenario's own criteria on its metrics."""
         limits = {"force_rmse_N": (0.01, "N"), "position_rmse_mm": (0.05, "mm")}
         return guided_criteria(metrics, limits)
+
+    def panels(self, outcome: Outcome) -> tuple[Panel, ...]:
+        """Return the path on the ball, forces, moments and pose errors."""
+        return environment_panels(
+            outcome.table, outcome.experiment.geometry, "in the plane of the great circle"
+        )

@@ -15,6 +15,9 @@ from scenarios.robot_file import MODELS, compile_spec, home_of, robot_spec
 TOOL = "eraser/tool"
 """Frame at the centre of the pad's face, z into the board."""
 
+EDGE = "eraser/edge"
+"""Frame at the middle of the pad's long edge at y = 25 mm of `TOOL`, with the axes of that."""
+
 SENSOR = "eraser/ft"
 """Frame of the force-torque sensor, between arm and eraser."""
 

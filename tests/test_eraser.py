@@ -10,8 +10,8 @@ from qpctrl import Status
 from scenarios.eraser import Eraser
 from scenarios.path import glide, wiping_loops
 from scenarios.plant import Plant, PlantState
-from scenarios.run import Outcome, run_scenario
-from scenarios.scenario import Options
+from scenarios.run import run_scenario
+from scenarios.scenario import Options, Outcome
 from scenarios.simulation import simulate
 
 SHORT = 3.0  # s of wiping

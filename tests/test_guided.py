@@ -1,8 +1,9 @@
-"""Doors, drawers, cranks and balls on the exact plant: the criteria, and what they show."""
+"""Doors, drawers, valves, cranks and balls on the exact plant: criteria, and what they show."""
 
 import functools
 
 import numpy as np
+import polars as pl
 import pytest
 
 from qpctrl import InputError
@@ -11,13 +12,15 @@ from scenarios.crank import Crank
 from scenarios.door import Door
 from scenarios.drawer import Drawer
 from scenarios.guided import ThereAndBack
-from scenarios.run import Outcome, run_scenario
-from scenarios.scenario import Options, Scenario
+from scenarios.run import run_scenario
+from scenarios.scenario import Options, Outcome, Scenario
 from scenarios.sphere import Sphere
+from scenarios.valve import Valve
 
 JOBS: dict[str, Scenario] = {
     "door": Door(),
     "drawer": Drawer(),
+    "valve": Valve(),
     "crank": Crank(),
     "sphere": Sphere(),
     "sphere with a face": Sphere(contact="face"),
@@ -38,13 +41,34 @@ def test_a_job_meets_its_own_criteria(name: str) -> None:
     assert summary["metrics"]["qp_law_gap_max"] <= 1e-8
 
 
-def test_the_door_opens_by_sixty_degrees_and_closes() -> None:
-    table = outcome("door").table
+def turned(table: pl.DataFrame) -> np.ndarray:
+    """Return the angle [deg] by which the tool has turned since the start."""
     turns = np.stack([table[f"motion.X_WF.{i}"].to_numpy() for i in range(9)], axis=1)
     R = turns.reshape(-1, 3, 3).transpose(0, 2, 1)
-    angle = np.degrees(np.arccos(np.clip((np.trace(R[0].T @ R, axis1=1, axis2=2) - 1) / 2, -1, 1)))
+    return np.degrees(np.arccos(np.clip((np.trace(R[0].T @ R, axis1=1, axis2=2) - 1) / 2, -1, 1)))
+
+
+def test_the_door_opens_by_sixty_degrees_and_closes() -> None:
+    angle = turned(outcome("door").table)
     assert angle.max() == pytest.approx(60, abs=0.2)
     assert angle[-1] == pytest.approx(0, abs=0.2)
+
+
+def test_the_valve_turns_by_fifty_degrees_to_each_side_and_advances_by_its_lead() -> None:
+    table = outcome("valve").table
+    angle, z = turned(table), table.select(f"motion.X_WF.{i}" for i in (6, 7, 8)).row(0)
+    p = table.select(f"motion.X_WF.{i}" for i in (9, 10, 11)).to_numpy()
+    assert angle.max() == pytest.approx(100, abs=0.2)
+    assert angle[-1] == pytest.approx(0, abs=0.2)
+    assert (p - p[0]) @ z == pytest.approx(5e-3 * np.radians(angle), abs=1e-6)
+
+
+def test_the_valve_is_pulled_pressed_and_twisted_as_asked() -> None:
+    table = outcome("valve").table.filter(pl.col("phase") == "move")
+    f, m = (table.select(f"wrench_meas.{x}{axis}" for axis in "xyz").to_numpy() for x in "fm")
+    about_axis = m + np.cross([0.08, 0.0, 0.0], f)  # the spoke is x of the tool
+    assert f == pytest.approx(np.tile([8.0, 0.0, 8.0], (len(f), 1)), abs=0.05)
+    assert about_axis == pytest.approx(np.tile([0.5, 0.0, -5e-3 * 8.0], (len(f), 1)), abs=5e-3)
 
 
 def test_the_textbook_law_errs_on_the_ball_and_the_qp_does_not() -> None:
@@ -70,12 +94,19 @@ def test_the_way_there_and_back_is_smooth_and_as_long_as_asked() -> None:
     assert np.gradient(s_dot, time)[1:-1] == pytest.approx(s_ddot[1:-1], abs=1e-2)
 
 
-@pytest.mark.parametrize("kind", [Door, Drawer, Crank, Sphere])
+@pytest.mark.parametrize("kind", [Door, Drawer, Valve, Crank, Sphere])
 def test_a_job_refuses_what_makes_no_sense(kind: type) -> None:
     assert SCENARIOS[kind.name] is kind
     for value in (0.0, -1.0, float("nan")):
         with pytest.raises(InputError, match="force"):
             kind(force=value)
+
+
+@pytest.mark.parametrize("name", ["angle", "speed", "radius", "lead", "moment"])
+def test_the_valve_refuses_numbers_that_make_no_sense(name: str) -> None:
+    for value in (0.0, -1.0, float("inf")):
+        with pytest.raises(InputError, match=f"{name}: "):
+            Valve(**{name: value})
 
 
 LAWS = ("qp", "hybrid", "textbook")

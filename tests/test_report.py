@@ -19,6 +19,7 @@ from hypothesis.extra.numpy import arrays
 
 from qpctrl import InputError, Status
 from scenarios import report_figure, report_style
+from scenarios.panel import board_panels
 from scenarios.picture import png, render_scene
 from scenarios.report import label, quantity, render_report
 from scenarios.world import build_world
@@ -103,6 +104,11 @@ def figures_in(page: str) -> dict[str, Any]:
     return json.loads(text[1], parse_constant=refuse)
 
 
+def board_report(summary: dict[str, Any], table: pl.DataFrame, where: dict[str, Any]) -> str:
+    """Return the page of a run on a board."""
+    return render_report(summary, table, board_panels(summary, table, where))
+
+
 def all_figures(table: pl.DataFrame) -> list[report_figure.Figure | None]:
     """Return every figure of a record."""
     return [
@@ -123,7 +129,7 @@ def trace(figure: report_figure.Figure | None, name: str) -> dict[str, Any]:
 
 
 def test_page_of_a_good_run_says_so_in_words() -> None:
-    page = without_plotly(render_report(a_summary(), a_table(), geometry()))
+    page = without_plotly(board_report(a_summary(), a_table(), geometry()))
     assert "✓ PASSED" in page
     assert "FAILED" not in page
     assert "What went wrong" not in page
@@ -139,7 +145,7 @@ def test_page_of_a_bad_run_has_a_sentence_for_each_missed_criterion() -> None:
     summary = a_summary(passed=False)
     summary["criteria"][0] |= {"value": 0.35, "passed": False}
     summary["criteria"][1] |= {"value": None, "passed": False}
-    page = without_plotly(render_report(summary, a_table(), geometry()))
+    page = without_plotly(board_report(summary, a_table(), geometry()))
     assert "✗ FAILED" in page
     assert "PASSED" not in page
     assert "0 of 2 criteria hold" in page
@@ -151,7 +157,7 @@ def test_fallback_ticks_are_listed_with_time_and_advice() -> None:
     status = ["OK"] * TICKS
     status[40:43], status[100] = ["INFEASIBLE"] * 3, "STALE"
     table = a_table().with_columns(status=pl.Series(status))
-    page = without_plotly(render_report(a_summary(), table, geometry()))
+    page = without_plotly(board_report(a_summary(), table, geometry()))
     assert "4 of 5000 ticks sent the fallback torque" in page
     assert (
         f"0.040 s to 0.042 s (ticks: 3, approach): INFEASIBLE – {Status.INFEASIBLE.value}" in page
@@ -166,7 +172,7 @@ def test_every_text_is_escaped() -> None:
     table = a_table(joints=(evil,)).with_columns(
         active=pl.lit(f"torque {evil}"), phase=pl.lit(evil), status=pl.lit(evil)
     )
-    page = without_plotly(render_report(summary, table, geometry()))
+    page = without_plotly(board_report(summary, table, geometry()))
     assert evil not in page
     assert "&lt;img src=x onerror=alert(1)&gt;" in page
     drawn = figures_in(page)
@@ -190,7 +196,7 @@ class Loads(HTMLParser):
 
 
 def test_page_loads_nothing_and_sends_nothing() -> None:
-    page = render_report(a_summary(), a_table(), geometry())
+    page = board_report(a_summary(), a_table(), geometry())
     loads = Loads()
     loads.feed(page)
     assert not loads.found
@@ -202,8 +208,8 @@ def test_page_loads_nothing_and_sends_nothing() -> None:
 
 def test_page_is_deterministic_and_small() -> None:
     table = a_table(60_000, joints=tuple(f"joint{i}" for i in range(30)))
-    page = render_report(a_summary(), table, geometry())
-    assert page == render_report(copy.deepcopy(a_summary()), table.clone(), geometry())
+    page = board_report(a_summary(), table, geometry())
+    assert page == board_report(copy.deepcopy(a_summary()), table.clone(), geometry())
     assert len(page.encode()) <= MAX_BYTES
 
 
@@ -248,7 +254,7 @@ def test_any_record_gives_a_page(
     for c in summary["criteria"]:
         c |= {"value": None, "passed": False}
     summary["metrics"] = dict.fromkeys(summary["metrics"])
-    page = render_report(summary, DAMAGES[damage](a_table()), where)
+    page = board_report(summary, DAMAGES[damage](a_table()), where)
     figures_in(page)
     assert "✗ FAILED" in without_plotly(page)
     assert "nan" not in re.sub(r"<script>.*?</script>", "", page, flags=re.S)

@@ -1,0 +1,128 @@
+"""The compliant plant: M a + h + D_q v + Jᵀ F = τ with F from a compliant environment, integrated.
+
+The environment answers the tool's pose and twist with a wrench: springs, a hand, a wall. Dynamics
+by pinocchio, independent of the controller's expressions; the plant may carry a payload that
+the controller does not know of.
+"""
+
+from typing import Protocol
+
+import numpy as np
+import pinocchio as pin
+
+from qpctrl.arrays import Twist, Vector, Wrench, finite_array, non_negative, positive
+from qpctrl.errors import InputError
+from qpctrl.robot import Robot
+from scenarios.plant import PlantState
+
+
+class Environment(Protocol):
+    """What answers a tool with a wrench."""
+
+    def start(self, X_WF: pin.SE3) -> None:
+        """Take note of the pose of the tool at time 0."""
+
+    def wrench(self, time: float, X_WF: pin.SE3, V: Twist) -> Wrench:
+        """Return the wrench of robot on environment (6) [N, Nm] in the tool frame.
+
+        Args:
+            time: time [s].
+            X_WF: pose of the tool.
+            V: body twist of the tool (6) [m/s, rad/s].
+        """
+
+
+class CompliantPlant:
+    """A robot whose tool meets a compliant environment.
+
+    Classical Runge–Kutta with held torque.
+
+    Attributes:
+        energy: energy given to the environment since the start [J], ∫ Fᵀ V dt, integrated with
+            the motion.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        frame: str,
+        environment: Environment,
+        *,
+        payload: float = 0.0,
+        joint_damping: float = 0.0,
+        dt: float = 1e-3,
+        substeps: int = 2,
+    ) -> None:
+        """Bring ``frame`` and the environment together.
+
+        Args:
+            robot: the robot as the controller believes it to be.
+            frame: name of the frame that meets the environment.
+            environment: what answers it.
+            payload: point mass [kg] at the frame's origin that the robot's model lacks.
+            joint_damping: viscous friction of every joint [Nm s/rad or N s/m] that it lacks too.
+            dt: control period [s].
+            substeps: integration steps in a period.
+
+        Raises:
+            InputError: no such frame, or a number that cannot be used.
+        """
+        self._frame, self._environment = robot.frame_id(frame), environment
+        self._joint_damping = float(non_negative(joint_damping, (), "joint_damping"))
+        mass = float(non_negative(payload, (), "payload"))
+        if substeps < 1:
+            raise InputError(f"substeps: got {substeps}, need at least 1")
+        self._dt, self._substeps = float(positive(dt, (), "dt")), substeps
+        self._model = robot.model.copy()
+        tied = self._model.frames[self._frame]
+        if mass > 0:
+            load = pin.Inertia(mass, np.zeros(3), np.zeros((3, 3)))
+            self._model.appendBodyToJoint(tied.parentJoint, load, tied.placement)
+        self._data = self._model.createData()
+        self._time, self._q, self._v = 0.0, np.zeros(robot.nv), np.zeros(robot.nv)
+        self.energy = 0.0
+
+    def reset(self, q: Vector) -> PlantState:
+        """Return the state at rest in ``q`` (nq); the environment starts there."""
+        self._q = finite_array(q, self._v.shape, "q")
+        self._time, self._v, self.energy = 0.0, np.zeros_like(self._q), 0.0
+        pin.framesForwardKinematics(self._model, self._data, self._q)
+        X_WF = self._data.oMf[self._frame].copy()
+        self._environment.start(X_WF)
+        return self._state(self._environment.wrench(0.0, X_WF, np.zeros(6)))
+
+    def step(self, tau: Vector) -> PlantState:
+        """Return the state after ``tau`` (nv) [Nm] has acted for one period.
+
+        The wrench is that of the start of the period, where the torque was computed.
+        """
+        before, h = np.zeros(6), self._dt / self._substeps
+        for i in range(self._substeps):
+            q, v, t = self._q, self._v, self._time + i * h
+            a1, p1, wrench = self._rates(t, q, v, tau)
+            a2, p2, _ = self._rates(t + h / 2, q + h / 2 * v, v + h / 2 * a1, tau)
+            a3, p3, _ = self._rates(t + h / 2, q + h / 2 * v + h**2 / 4 * a1, v + h / 2 * a2, tau)
+            a4, p4, _ = self._rates(t + h, q + h * v + h**2 / 2 * a2, v + h * a3, tau)
+            self._q = q + h * v + h**2 / 6 * (a1 + a2 + a3)
+            self._v = v + h / 6 * (a1 + 2 * a2 + 2 * a3 + a4)
+            self.energy += h / 6 * (p1 + 2 * p2 + 2 * p3 + p4)
+            before = wrench if i == 0 else before
+        self._time += self._dt
+        return self._state(before)
+
+    def _rates(
+        self, time: float, q: Vector, v: Vector, tau: Vector
+    ) -> tuple[Vector, float, Wrench]:
+        """Return acceleration (nv), power [W] and wrench (6) [N, Nm] on the environment."""
+        model, data, local = self._model, self._data, pin.ReferenceFrame.LOCAL
+        pin.computeJointJacobians(model, data, q)
+        pin.updateFramePlacement(model, data, self._frame)
+        J = pin.getFrameJacobian(model, data, self._frame, local).reshape(6, -1)
+        V = J @ v
+        wrench = self._environment.wrench(time, data.oMf[self._frame], V)
+        a = pin.aba(model, data, q, v, tau - self._joint_damping * v - J.T @ wrench)
+        return a.copy(), float(wrench @ V), wrench
+
+    def _state(self, wrench: Wrench) -> PlantState:
+        q, v = self._q.copy(), self._v.copy()
+        return PlantState(self._time, q, v, wrench, wrench, touching=bool(wrench.any()))

@@ -1,0 +1,50 @@
+"""Runs of the command line, each made once, in a process of its own.
+
+There no annotations are checked at every call, so a run takes a fraction of the time.
+"""
+
+import functools
+import json
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import polars as pl
+
+
+class Ran(NamedTuple):
+    """What a run left behind."""
+
+    code: int
+    """Exit code."""
+    summary: dict[str, Any]
+    table: pl.DataFrame
+    page: str
+
+    @property
+    def metrics(self) -> dict[str, float]:
+        """Metrics of the summary."""
+        return self.summary["metrics"]
+
+    @property
+    def missed(self) -> list[dict[str, Any]]:
+        """Criteria that do not hold."""
+        return [c for c in self.summary["criteria"] if not c["passed"]]
+
+
+@functools.cache
+def ran(*arguments: str) -> Ran:
+    """Return what ``qpctrl run ARGUMENTS`` leaves behind."""
+    with tempfile.TemporaryDirectory() as out:
+        command = [Path(sys.executable).parent / "qpctrl", "run", *arguments, "--out", out]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        assert done.returncode in (0, 1), done.stderr
+        folder = Path(out)
+        return Ran(
+            done.returncode,
+            json.loads((folder / "summary.json").read_text(encoding="utf-8")),
+            pl.read_parquet(folder / "ticks.parquet"),
+            (folder / "report.html").read_text(encoding="utf-8"),
+        )
