@@ -22,13 +22,13 @@ class Split:
     """The task space of size n, divided by k constraint rows.
 
     Attributes:
-        A, A_dot_V, v_c_dot: the rows (k×n, k, k).
+        A, A_dot_V, v_c, v_c_dot: the rows (k×n, k, k, k).
         S: mobility of the constrained directions (k×k).
         P: projector (n×n) on wrenches that move the frame; I − P keeps those that press.
     """
 
     def __init__(self, rows: PfaffianRows, Lambda_inv: SX) -> None:
-        self.A, self.A_dot_V, _, self.v_c_dot = rows
+        self.A, self.A_dot_V, self.v_c, self.v_c_dot = rows
         self._Lambda_inv = Lambda_inv
         self.S = self.A @ Lambda_inv @ self.A.T
         self._S = Factor(self.S) if self.k else None

@@ -129,6 +129,7 @@ class ModeModel:
             freeze=self.u["freeze"],
             motion=self.spaces[task.space].motion if task.space else nowhere,
             A=split.A if split else ca.SX(0, 0),
+            v_c=split.v_c if split else ca.SX(0, 1),
             S=split.S if split else ca.SX(0, 0),
             Lambda_inv=self.spaces[task.space].Lambda_inv if task.space else ca.SX(0, 0),
         )

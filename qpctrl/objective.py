@@ -51,6 +51,8 @@ class Scene(NamedTuple):
     """Pose and twist of the task's frame; a posture must not use it."""
     A: SX
     """Constraint rows (k×n) acting on that space; k = 0 in free space."""
+    v_c: SX
+    """Velocity of the environment along those rows (k) [m/s, rad/s]."""
     S: SX
     """A Λ⁻¹ Aᵀ (k×k), the mobility of the constrained directions."""
     Lambda_inv: SX

@@ -13,7 +13,6 @@ import pinocchio as pin
 import polars as pl
 
 from qpctrl.arrays import finite_array, non_negative, positive
-from qpctrl.controller import Controller
 from qpctrl.mode import Mode
 from qpctrl.objective import Reference, Weighted
 from scenarios.environment import Hand
@@ -123,14 +122,7 @@ class Admittance:
         robot, X_WD = arm_at_home(self.robot)
         plan = self.plan
         tasks = (Weighted(self.task()), Weighted(PostureTask(q_ref=robot.home)))
-        controller = Controller(
-            robot,
-            (Mode(name=TASK, tasks=tasks),),
-            dt=DT,
-            solver=options.solver,
-            form=options.form,
-            law=options.law,
-        )
+        controller = options.controller(robot, (Mode(name=TASK, tasks=tasks),), DT)
         hand = CompliantPlant(robot, FLANGE.frame, Hand(plan.wrench), dt=DT, substeps=1)
         return Experiment(
             robot=robot,

@@ -20,7 +20,6 @@ from scenarios.guided import (
     FLANGE,
     MODE,
     PRESS_TIME,
-    Gains,
     Stroke,
     ThereAndBack,
     arm_at_home,
@@ -38,7 +37,6 @@ from scenarios.scenario import Criterion, Directive, Experiment, Options, Outcom
 from tasks import ForceReference, MotionReference
 
 BOARD = "board"
-GAINS = Gains(damping=0.0)  # it brakes A V, not A V − v_c: on this board, the board's own motion
 LIMITS = {
     "force_rmse_N": (1e-4, "N"),  # the law is exact: what the ramp left when the board sets off
     "position_rmse_mm": (0.02, "mm"),  # torque is held for a period while the reference moves on
@@ -122,7 +120,7 @@ class Conveyor:
         angles = np.linspace(0.0, 2 * np.pi, 200)
         return Experiment(
             robot=arm,
-            controller=guided_controller(arm, board, options, GAINS),
+            controller=guided_controller(arm, board, options),
             plant=plant,
             guide=job,
             start_mode=MODE,

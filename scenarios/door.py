@@ -39,7 +39,7 @@ class Door:
     """fr3, ur5, or a file (.xml MJCF, .urdf) with a frame ``flange``."""
     angle: float = 60.0
     """Angle to open [deg]."""
-    speed: float = 40.0
+    rate: float = 40.0
     """Speed of the door [deg/s]."""
     radius: float = 0.35
     """Distance from hinge to handle [m]."""
@@ -47,7 +47,7 @@ class Door:
     """Force held in the grasp, away from the hinge [N]."""
 
     def __post_init__(self) -> None:
-        for name in ("angle", "speed", "radius", "force"):
+        for name in ("angle", "rate", "radius", "force"):
             positive(getattr(self, name), (), name)
 
     def prepare(self, options: Options) -> Experiment:
@@ -61,7 +61,7 @@ class Door:
         push = np.zeros(6)
         push[:3] = self.force * (X_WF.rotation.T @ X_WE.rotation[:, 0])
         guidance = Guidance(
-            stroke=ThereAndBack(far=np.radians(self.angle), speed=np.radians(self.speed)),
+            stroke=ThereAndBack(far=np.radians(self.angle), speed=np.radians(self.rate)),
             reference=TwistPath(X_W0=X_WF, xi_W=opening).reference,
             wrench=lambda stroke: push,
             scenery=Scenery(X_WE, (0, 1), np.array([[0.0, 0.0], [self.radius, 0.0]])),

@@ -14,7 +14,6 @@ import polars as pl
 
 from qpctrl.arrays import Matrix, Vector, non_negative, positive
 from qpctrl.constraint import EdgeOnPlane, FaceOnPlane
-from qpctrl.controller import Controller
 from qpctrl.errors import InputError
 from qpctrl.mode import Mode
 from qpctrl.objective import Weighted
@@ -94,14 +93,7 @@ class Edge:
         )
         return Experiment(
             robot=world.robot,
-            controller=Controller(
-                world.robot,
-                modes(world),
-                dt=DT,
-                solver=options.solver,
-                form=options.form,
-                law=options.law,
-            ),
+            controller=options.controller(world.robot, modes(world), DT),
             plant=MujocoPlant(world, frame=EDGE),
             guide=TippingGuide(plan, world.robot),
             start_mode=FREE,

@@ -13,7 +13,6 @@ import polars as pl
 
 from qpctrl.arrays import positive
 from qpctrl.constraint import FaceOnPlane
-from qpctrl.controller import Controller
 from qpctrl.errors import InputError
 from qpctrl.mode import Mode
 from qpctrl.objective import Weighted
@@ -100,14 +99,7 @@ class Eraser:
         )
         return Experiment(
             robot=robot,
-            controller=Controller(
-                robot,
-                self.modes(world),
-                dt=DT,
-                solver=options.solver,
-                form=options.form,
-                law=options.law,
-            ),
+            controller=options.controller(robot, self.modes(world), DT),
             plant=self._plant(world, options.seed),
             guide=WipingGuide(plan, lambda q: robot.pose(q, TOOL)),
             start_mode="contact" if rigid else "free",

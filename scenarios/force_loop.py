@@ -13,7 +13,6 @@ import pinocchio as pin
 import polars as pl
 
 from qpctrl.arrays import non_negative, positive
-from qpctrl.controller import Controller
 from qpctrl.errors import InputError
 from qpctrl.mode import Mode
 from qpctrl.objective import Reference, Weighted
@@ -87,13 +86,8 @@ class ForceLoop:
         robot = one_mass()
         force = ForceTask(space=SPACE, K_fi=self.k_fi, integral_max=1e9, ramp=1e9)
         tasks = (Weighted(MotionTask(space=SPACE)), Weighted(force))
-        controller = Controller(
-            robot,
-            (Mode(name=MODE, tasks=tasks, constraints=(WALL,)),),
-            dt=DT,
-            solver=options.solver,
-            form=options.form,
-            law=options.law,
+        controller = options.controller(
+            robot, (Mode(name=MODE, tasks=tasks, constraints=(WALL,)),), DT
         )
         sensor = ForceSensor(delay=self.delay - 1)
         return Experiment(

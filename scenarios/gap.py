@@ -19,7 +19,6 @@ import pinocchio as pin
 import polars as pl
 
 from qpctrl.arrays import Vector, positive
-from qpctrl.controller import Controller
 from qpctrl.errors import InputError
 from qpctrl.robot import Robot
 from scenarios.eraser import DT, Eraser
@@ -171,14 +170,7 @@ class Gap:
         robot, plan = world.robot, self._plan(world)
         return Experiment(
             robot=robot,
-            controller=Controller(
-                robot,
-                self._wiping().modes(world),
-                dt=DT,
-                solver=options.solver,
-                form=options.form,
-                law=options.law,
-            ),
+            controller=options.controller(robot, self._wiping().modes(world), DT),
             plant=FallingBoard(
                 plant=MujocoPlant(world, force_noise=self.force_noise, seed=options.seed),
                 way_W=self.depth * world.X_WE.rotation[:, 2],

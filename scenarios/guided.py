@@ -194,24 +194,15 @@ def arm_at_home(robot: str) -> tuple[Robot, pin.SE3]:
     return arm, arm.pose(arm.home, FLANGE.frame)
 
 
-def guided_controller(
-    robot: Robot, constraint: Constraint, options: Options, gains: Gains | None = None
-) -> Controller:
+def guided_controller(robot: Robot, constraint: Constraint, options: Options) -> Controller:
     """Return the controller of a tool on ``constraint``, with the one mode `MODE`."""
-    gains = gains or Gains()
+    gains = Gains()
     tasks = (
         Weighted(MotionTask(space=FLANGE, K_p=gains.K_p, K_d=gains.K_d)),
         Weighted(ForceTask(space=FLANGE, K_fp=gains.K_fp, K_fi=gains.K_fi, damping=gains.damping)),
         Weighted(PostureTask(q_ref=robot.home)),
     )
-    return Controller(
-        robot,
-        [Mode(name=MODE, tasks=tasks, constraints=(constraint,))],
-        dt=DT,
-        solver=options.solver,
-        form=options.form,
-        law=options.law,
-    )
+    return options.controller(robot, [Mode(name=MODE, tasks=tasks, constraints=(constraint,))], DT)
 
 
 def guided_experiment(

@@ -14,7 +14,6 @@ import pinocchio as pin
 import polars as pl
 
 from qpctrl.arrays import Vector, Wrench, positive
-from qpctrl.controller import Controller
 from qpctrl.errors import InputError
 from qpctrl.mode import Mode
 from qpctrl.objective import Reference, Weighted
@@ -135,13 +134,8 @@ class Haptic:
         task = ImpedanceTask(
             space=SPACE, K_v=self.stiffness, B_v=self.damping, M_v=self.virtual_mass, cutoff=CUTOFF
         )
-        controller = Controller(
-            robot,
-            (Mode(name="impedance", tasks=(Weighted(task),)),),
-            dt=DT,
-            solver=options.solver,
-            form=options.form,
-            law=options.law,
+        controller = options.controller(
+            robot, (Mode(name="impedance", tasks=(Weighted(task),)),), DT
         )
         return Experiment(
             robot=robot,

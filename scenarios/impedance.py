@@ -13,7 +13,6 @@ import pinocchio as pin
 import polars as pl
 
 from qpctrl.arrays import Matrix, positive
-from qpctrl.controller import Controller
 from qpctrl.mode import Mode
 from qpctrl.objective import Reference, Weighted
 from scenarios.environment import Hand
@@ -112,14 +111,7 @@ class Impedance:
         robot, X_WD = arm_at_home(self.robot)
         plan = self.plan
         tasks = (Weighted(self.task()), Weighted(PostureTask(q_ref=robot.home)))
-        controller = Controller(
-            robot,
-            (Mode(name=TASK, tasks=tasks),),
-            dt=DT,
-            solver=options.solver,
-            form=options.form,
-            law=options.law,
-        )
+        controller = options.controller(robot, (Mode(name=TASK, tasks=tasks),), DT)
         return Experiment(
             robot=robot,
             controller=controller,

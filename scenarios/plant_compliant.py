@@ -14,6 +14,7 @@ from qpctrl.arrays import Twist, Vector, Wrench, finite_array, non_negative, pos
 from qpctrl.errors import InputError
 from qpctrl.robot import Robot
 from scenarios.plant import PlantState
+from scenarios.runge_kutta import runge_kutta
 
 
 class Environment(Protocol):
@@ -96,19 +97,21 @@ class CompliantPlant:
 
         The wrench is that of the start of the period, where the torque was computed.
         """
-        before, h = np.zeros(6), self._dt / self._substeps
+        h, wrenches, powers = self._dt / self._substeps, [], []
+
+        def accelerate(time: float, q: Vector, v: Vector) -> Vector:
+            a, power, wrench = self._rates(time, q, v, tau)
+            wrenches.append(wrench)
+            powers.append(power)
+            return a
+
         for i in range(self._substeps):
-            q, v, t = self._q, self._v, self._time + i * h
-            a1, p1, wrench = self._rates(t, q, v, tau)
-            a2, p2, _ = self._rates(t + h / 2, q + h / 2 * v, v + h / 2 * a1, tau)
-            a3, p3, _ = self._rates(t + h / 2, q + h / 2 * v + h**2 / 4 * a1, v + h / 2 * a2, tau)
-            a4, p4, _ = self._rates(t + h, q + h * v + h**2 / 2 * a2, v + h * a3, tau)
-            self._q = q + h * v + h**2 / 6 * (a1 + a2 + a3)
-            self._v = v + h / 6 * (a1 + 2 * a2 + 2 * a3 + a4)
+            t = self._time + i * h
+            self._q, self._v = runge_kutta(accelerate, t, self._q, self._v, h)
+            p1, p2, p3, p4 = powers[-4:]
             self.energy += h / 6 * (p1 + 2 * p2 + 2 * p3 + p4)
-            before = wrench if i == 0 else before
         self._time += self._dt
-        return self._state(before)
+        return self._state(wrenches[0])
 
     def _rates(
         self, time: float, q: Vector, v: Vector, tau: Vector

@@ -9,11 +9,12 @@ from collections.abc import Callable, Mapping
 import numpy as np
 import pinocchio as pin
 
-from qpctrl.arrays import Array, Matrix, Vector
+from qpctrl.arrays import Array, Matrix, Vector, Wrench
 from qpctrl.constraint import Constraint, row_function
 from qpctrl.evaluator import Evaluator
 from qpctrl.robot import Robot
 from scenarios.plant import PlantState
+from scenarios.runge_kutta import runge_kutta
 
 
 class RigidPlant:
@@ -61,17 +62,18 @@ class RigidPlant:
 
         The wrench is that of the start of the period, where the torque was computed.
         """
-        q, v, dt, t = self._q, self._v, self._dt, self._time
-        a1, wrench = self.accelerate(q, v, tau)
-        self._move_environment(t + dt / 2)
-        a2, _ = self.accelerate(q + dt / 2 * v, v + dt / 2 * a1, tau)
-        a3, _ = self.accelerate(q + dt / 2 * v + dt**2 / 4 * a1, v + dt / 2 * a2, tau)
-        self._move_environment(t + dt)
-        a4, _ = self.accelerate(q + dt * v + dt**2 / 2 * a2, v + dt * a3, tau)
-        self._q = q + dt * v + dt**2 / 6 * (a1 + a2 + a3)
-        self._v = self._project(self._q, v + dt / 6 * (a1 + 2 * a2 + 2 * a3 + a4))
-        self._time += dt
-        return self._state(wrench)
+        wrenches: list[Wrench] = []
+
+        def accelerate(time: float, q: Vector, v: Vector) -> Vector:
+            self._move_environment(time)
+            a, wrench = self.accelerate(q, v, tau)
+            wrenches.append(wrench)
+            return a
+
+        self._q, v = runge_kutta(accelerate, self._time, self._q, self._v, self._dt)
+        self._v = self._project(self._q, v)
+        self._time += self._dt
+        return self._state(wrenches[0])
 
     def _move_environment(self, time: float) -> None:
         if self._environment is not None:

@@ -15,16 +15,16 @@ import polars as pl
 
 from qpctrl.arrays import Matrix, Vector, Wrench, finite_array, positive
 from qpctrl.constraint import Pfaffian
-from qpctrl.controller import Controller
 from qpctrl.errors import InputError
 from qpctrl.mode import Mode
 from qpctrl.objective import Reference, Weighted
 from qpctrl.robot import Robot
 from qpctrl.space import TaskSpace
+from scenarios.environment import Springs
 from scenarios.metric import tick_metrics, whole_run_metrics
 from scenarios.panel import Panel
 from scenarios.plant import PlantState
-from scenarios.plant_spring import SpringPlant
+from scenarios.plant_compliant import CompliantPlant
 from scenarios.record import WRENCH
 from scenarios.report_trace import wrench_figure
 from scenarios.robot_file import load_robot
@@ -133,22 +133,12 @@ class Press:
         """Return the experiment, ready to run."""
         robot = load_robot(self.robot, self.home)
         _check_reach(robot, self.tool)
-        plant = SpringPlant(
-            robot,
-            self.tool,
-            stiffness=np.repeat([self.stiffness, self.stiffness_rot], 3),
-            damping=np.repeat([self.spring_damping, self.spring_damping_rot], 3),
-            payload=self.payload_error,
-            dt=DT,
+        springs = Springs(
+            np.repeat([self.stiffness, self.stiffness_rot], 3),
+            np.repeat([self.spring_damping, self.spring_damping_rot], 3),
         )
-        controller = Controller(
-            robot,
-            (self.mode(robot),),
-            dt=DT,
-            solver=options.solver,
-            form=options.form,
-            law=options.law,
-        )
+        plant = CompliantPlant(robot, self.tool, springs, payload=self.payload_error, dt=DT)
+        controller = options.controller(robot, (self.mode(robot),), DT)
         X_WD = robot.pose(robot.home, self.tool)
         return Experiment(
             robot=robot,

@@ -1,6 +1,6 @@
 """What a scenario is: frozen parameters that set up an experiment and judge its record."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple, Protocol
 
@@ -10,6 +10,7 @@ from qpctrl.arrays import Array
 from qpctrl.contact import ContactPhase
 from qpctrl.controller import Controller
 from qpctrl.errors import InputError
+from qpctrl.mode import Mode
 from qpctrl.objective import Reference
 from qpctrl.robot import Robot
 from scenarios.panel import Panel
@@ -79,6 +80,11 @@ class Options:
     def __post_init__(self) -> None:
         if self.seed < 0:
             raise InputError(f"seed: got {self.seed}, need a number >= 0")
+
+    def controller(self, robot: Robot, modes: Sequence[Mode], dt: float) -> Controller:
+        """Return a controller of period ``dt`` [s] that is run as these options say."""
+        solver, form, law = self.solver, self.form, self.law
+        return Controller(robot, modes, dt=dt, solver=solver, form=form, law=law)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -18,7 +18,6 @@ from scipy.linalg import expm
 from scipy.optimize import brentq
 
 from qpctrl.arrays import Matrix, non_negative, positive
-from qpctrl.controller import Controller
 from qpctrl.errors import InputError
 from qpctrl.mode import Mode
 from qpctrl.objective import Reference, Weighted
@@ -144,14 +143,7 @@ class StiffWall:
             K_v=self.stiffness,
             cutoff=self.cutoff,
         )
-        controller = Controller(
-            robot,
-            (Mode(name=TASK, tasks=(Weighted(task),)),),
-            dt=DT,
-            solver=options.solver,
-            form=options.form,
-            law=options.law,
-        )
+        controller = options.controller(robot, (Mode(name=TASK, tasks=(Weighted(task),)),), DT)
         wall = Grip(lambda t: (-OFFSET, 0.0), stiffness=k_e, damping=0.0)
         plant = CompliantPlant(robot, SPACE.frame, wall, dt=DT)
         return Experiment(

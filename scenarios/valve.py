@@ -37,7 +37,7 @@ class Valve:
     """fr3, ur5, or a file (.xml MJCF, .urdf) with a frame ``flange``."""
     angle: float = 50.0
     """Angle to each side of the middle [deg]; the valve starts at one end."""
-    speed: float = 80.0
+    rate: float = 80.0
     """Speed of the valve [deg/s]."""
     radius: float = 0.08
     """Distance from the axis to the grasp [m]."""
@@ -49,7 +49,7 @@ class Valve:
     """Moment held about the spoke that is grasped [Nm]."""
 
     def __post_init__(self) -> None:
-        for name in ("angle", "speed", "radius", "lead", "force", "moment"):
+        for name in ("angle", "rate", "radius", "lead", "force", "moment"):
             positive(getattr(self, name), (), name)
 
     def prepare(self, options: Options) -> Experiment:
@@ -60,7 +60,7 @@ class Valve:
         turning = pin.Motion(np.array([0.0, 0.0, self.lead]), np.array([0.0, 0.0, 1.0]))
         held = self.held(X_FE)
         guidance = Guidance(
-            stroke=ThereAndBack(far=2 * np.radians(self.angle), speed=np.radians(self.speed)),
+            stroke=ThereAndBack(far=2 * np.radians(self.angle), speed=np.radians(self.rate)),
             reference=TwistPath(X_W0=X_WF, xi_W=X_WE.act(turning).vector).reference,
             wrench=lambda stroke: held,
             scenery=Scenery(X_WE, (0, 1), arc(self.radius)),

@@ -16,7 +16,6 @@ import pinocchio as pin
 import polars as pl
 
 from qpctrl.arrays import Vector, positive
-from qpctrl.controller import Controller
 from qpctrl.errors import InputError
 from qpctrl.mode import Mode
 from qpctrl.objective import Reference, Weighted
@@ -129,14 +128,7 @@ class VirtualWall:
         """Return the experiment with ``friction`` [N s/m], the hand moving about ``depth`` [m]."""
         robot = slider(self.mass)
         task = ImpedanceTask(space=SPACE, K_v=0.0, B_v=0.0, name=TASK)
-        controller = Controller(
-            robot,
-            (Mode(name=TASK, tasks=(Weighted(task),)),),
-            dt=DT,
-            solver=options.solver,
-            form=options.form,
-            law=options.law,
-        )
+        controller = options.controller(robot, (Mode(name=TASK, tasks=(Weighted(task),)),), DT)
         omega = 2 * np.pi * FREQUENCY
 
         def hand(time: float) -> tuple[float, float]:

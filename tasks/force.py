@@ -1,6 +1,6 @@
 """Force on the environment: feed-forward, PI, PI with velocity damping.
 
-    F_cmd = F_d + K_fp F_e + K_fi ∫F_e − d Aᵀ S⁻¹ A V,   F_e = F_d − Aᵀ λ_meas
+    F_cmd = F_d + K_fp F_e + K_fi ∫F_e − d Aᵀ S⁻¹ (A V − v_c),   F_e = F_d − Aᵀ λ_meas
 
 The measured wrench is split into Aᵀ λ_meas, which the constraint carries, and the rest: friction
 and whatever else acts outside A's rows. The rest, low-pass filtered, is fed forward as a
@@ -59,7 +59,8 @@ class ForceTask:
     K_fi: Array | float = 0.0
     """Integral gain (n) [1/s]."""
     damping: Array | float = 0.0
-    """Velocity damping d [1/s] along A's rows; one number serves forces and moments."""
+    """Velocity damping d [1/s] along A's rows, relative to the environment; one number serves
+    forces and moments."""
     integral_max: Array | float = 50.0
     """Saturation of ∫F_e (n) [N s, Nm s]."""
     ramp: Array | float = 100.0
@@ -107,7 +108,7 @@ class ForceTask:
         F_e = F_des - carried
         grown = memory["integral"] + (1 - scene.freeze) * scene.dt * F_e
         integral = ca.fmin(ca.fmax(grown, -u["integral_max"]), u["integral_max"])
-        brake = A.T @ Factor(scene.S).solve(A @ V) if A.shape[0] else 0 * V
+        brake = A.T @ Factor(scene.S).solve(A @ V - scene.v_c) if A.shape[0] else 0 * V
         F_cmd = F_des + u["K_fp"] * F_e + u["K_fi"] * integral - u["damping"] * brake
         given = observe_energy(u["F_meas"], V, memory, scene.dt)
         return TaskExpressions(

@@ -24,6 +24,11 @@ class Ran(NamedTuple):
     page: str
 
     @property
+    def passed(self) -> bool:
+        """Whether the command says that all its criteria hold."""
+        return self.code == 0 and not self.missed
+
+    @property
     def metrics(self) -> dict[str, float]:
         """Metrics of the summary."""
         return self.summary["metrics"]
@@ -32,6 +37,12 @@ class Ran(NamedTuple):
     def missed(self) -> list[dict[str, Any]]:
         """Criteria that do not hold."""
         return [c for c in self.summary["criteria"] if not c["passed"]]
+
+
+def flags(**parameters: object) -> tuple[str, ...]:
+    """Return parameters as flags: ``k_fp=0.5`` is ``--k-fp 0.5``."""
+    pairs = ((f"--{name.replace('_', '-')}", str(value)) for name, value in parameters.items())
+    return tuple(word for pair in pairs for word in pair)
 
 
 @functools.cache

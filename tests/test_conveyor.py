@@ -8,6 +8,7 @@ import oracles
 import pinocchio as pin
 import polars as pl
 import pytest
+from runs import Ran, ran
 
 from qpctrl import InputError, Robot
 from qpctrl.constraint import FaceOnPlane, Moving, row_function
@@ -18,7 +19,6 @@ from scenarios.metric import rms_norm
 from scenarios.plant_rigid import RigidPlant
 from scenarios.ride import board_speed
 from scenarios.robot_file import load_robot
-from scenarios.run import run_scenario
 from scenarios.scenario import Options, Outcome
 from scenarios.simulation import simulate
 
@@ -37,10 +37,9 @@ AXES = ("fx", "fy", "fz", "mx", "my", "mz")
 ROWS = np.eye(6)[[2, 3, 4]]  # a face that stays aligned: into the board, and both tilts
 
 
-@functools.cache
-def outcome() -> Outcome:
+def outcome() -> Ran:
     """Return the run with the QP, made once."""
-    return run_scenario(Conveyor(), Options())
+    return ran("conveyor")
 
 
 @functools.cache
@@ -188,8 +187,10 @@ def test_a_plant_whose_environment_rests_is_the_plant_without_one() -> None:
     assert states[0].wrench == pytest.approx(states[1].wrench, abs=1e-9)
 
 
-def test_the_pictures_show_the_path_on_the_board_and_how_the_board_moves(tmp_path) -> None:
-    panels = {panel.key: panel for panel in Conveyor().panels(outcome())}
+def test_the_pictures_show_the_path_on_the_board_and_how_the_board_moves() -> None:
+    experiment = Conveyor().prepare(Options())
+    run = Outcome(experiment=experiment, table=outcome().table, summary=outcome().summary)
+    panels = {panel.key: panel for panel in Conveyor().panels(run)}
     assert all(panel.figure for panel in panels.values())
     drawn = {trace["name"]: trace for trace in panels["path"].figure["data"]}
     actual = np.column_stack([drawn["actual path"]["x"], drawn["actual path"]["y"]])

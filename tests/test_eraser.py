@@ -5,13 +5,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 import polars as pl
 import pytest
+from runs import Ran, flags, ran
 
 from qpctrl import Status
 from scenarios.eraser import Eraser
 from scenarios.path import glide, wiping_loops
 from scenarios.plant import Plant, PlantState
-from scenarios.run import run_scenario
-from scenarios.scenario import Options, Outcome
+from scenarios.scenario import Options
 from scenarios.simulation import simulate
 
 SHORT = 3.0  # s of wiping
@@ -20,13 +20,12 @@ EXACT = 1e-6
 """N: the exact plant leaves the motion integrator's round-off."""
 
 
-def short(**parameters) -> Outcome:
+def short(**parameters) -> Ran:
     """Return a short run."""
-    options = {key: parameters.pop(key) for key in ("law", "form", "solver") if key in parameters}
-    return run_scenario(Eraser(duration=SHORT, **parameters), Options(**options))
+    return ran("eraser", *flags(duration=SHORT, **parameters))
 
 
-def wiping(outcome: Outcome) -> pl.DataFrame:
+def wiping(outcome: Ran) -> pl.DataFrame:
     """Return the ticks spent wiping."""
     return outcome.table.filter(pl.col("phase") == "wipe")
 
@@ -51,7 +50,7 @@ def test_the_eraser_meets_its_criteria(parameters) -> None:
 
 
 def test_the_default_run_goes_through_every_phase_and_beats_the_floor() -> None:
-    outcome = run_scenario(Eraser(), Options())
+    outcome = ran("eraser")
     metrics, table = outcome.summary["metrics"], outcome.table
     assert outcome.passed
     phases = table["phase"].unique(maintain_order=True).to_list()

@@ -1,10 +1,9 @@
 """Doors, drawers, valves, cranks and balls on the exact plant: criteria, and what they show."""
 
-import functools
-
 import numpy as np
 import polars as pl
 import pytest
+from runs import Ran, ran
 
 from qpctrl import InputError
 from scenarios.catalogue import SCENARIOS
@@ -12,33 +11,26 @@ from scenarios.crank import Crank
 from scenarios.door import Door
 from scenarios.drawer import Drawer
 from scenarios.guided import ThereAndBack
-from scenarios.run import run_scenario
-from scenarios.scenario import Options, Outcome, Scenario
 from scenarios.sphere import Sphere
 from scenarios.valve import Valve
 
-JOBS: dict[str, Scenario] = {
-    "door": Door(),
-    "drawer": Drawer(),
-    "valve": Valve(),
-    "crank": Crank(),
-    "sphere": Sphere(),
-    "sphere with a face": Sphere(contact="face"),
+JOBS = {
+    **{name: (name,) for name in ("door", "drawer", "valve", "crank", "sphere")},
+    "sphere with a face": ("sphere", "--contact", "face"),
 }
 
 
-@functools.cache
-def outcome(name: str, law: str = "qp") -> Outcome:
+def outcome(name: str, law: str = "qp") -> Ran:
     """Return a run, made once."""
-    return run_scenario(JOBS[name], Options(law=law))  # type: ignore[arg-type]
+    return ran(*JOBS[name], "--law", law)
 
 
 @pytest.mark.parametrize("name", list(JOBS))
 def test_a_job_meets_its_own_criteria(name: str) -> None:
-    summary = outcome(name).summary
-    assert summary["passed"], summary["criteria"]
-    assert summary["metrics"]["force_peak_N"] > 5  # measured: it does press
-    assert summary["metrics"]["qp_law_gap_max"] <= 1e-8
+    found = outcome(name)
+    assert found.passed, found.missed
+    assert found.metrics["force_peak_N"] > 5  # measured: it does press
+    assert found.metrics["qp_law_gap_max"] <= 1e-8
 
 
 def turned(table: pl.DataFrame) -> np.ndarray:
@@ -72,15 +64,15 @@ def test_the_valve_is_pulled_pressed_and_twisted_as_asked() -> None:
 
 
 def test_the_textbook_law_errs_on_the_ball_and_the_qp_does_not() -> None:
-    error = {law: outcome("sphere", law).summary["metrics"]["force_rmse_N"] for law in LAWS}
+    error = {law: outcome("sphere", law).metrics["force_rmse_N"] for law in LAWS}
     assert error["textbook"] >= 5 * error["qp"]
     assert error["hybrid"] == pytest.approx(error["qp"], rel=1e-6)
-    assert not outcome("sphere", "textbook").summary["passed"]
+    assert not outcome("sphere", "textbook").passed
 
 
 def test_a_face_that_turns_with_the_ball_has_no_curvature_term() -> None:
-    turning = outcome("sphere with a face").summary["metrics"]["curvature_term_max"]
-    assert turning < 1e-3 * outcome("sphere").summary["metrics"]["curvature_term_max"]
+    turning = outcome("sphere with a face").metrics["curvature_term_max"]
+    assert turning < 1e-3 * outcome("sphere").metrics["curvature_term_max"]
 
 
 def test_the_way_there_and_back_is_smooth_and_as_long_as_asked() -> None:
@@ -102,7 +94,7 @@ def test_a_job_refuses_what_makes_no_sense(kind: type) -> None:
             kind(force=value)
 
 
-@pytest.mark.parametrize("name", ["angle", "speed", "radius", "lead", "moment"])
+@pytest.mark.parametrize("name", ["angle", "rate", "radius", "lead", "moment"])
 def test_the_valve_refuses_numbers_that_make_no_sense(name: str) -> None:
     for value in (0.0, -1.0, float("inf")):
         with pytest.raises(InputError, match=f"{name}: "):

@@ -9,7 +9,8 @@ import polars as pl
 import pytest
 
 from qpctrl import ContactPhase, InputError
-from scenarios.plant_spring import SpringPlant
+from scenarios.environment import Springs
+from scenarios.plant_compliant import CompliantPlant
 from scenarios.press import GAINS, SETTLE_TIME, Press
 from scenarios.robot_file import load_robot
 from scenarios.run import run_scenario
@@ -98,7 +99,7 @@ def test_a_frozen_integral_holds_the_force_error() -> None:
 def test_the_spring_plant_rests_where_its_springs_carry_the_payload() -> None:
     robot = load_robot("fr3")
     K, D = np.repeat([1e4, 1e3], 3), np.repeat([800.0, 40.0], 3)
-    plant = SpringPlant(robot, "flange", stiffness=K, damping=D, payload=1.0)
+    plant = CompliantPlant(robot, "flange", Springs(K, D), payload=1.0)
     state = plant.reset(robot.home)
     X_WA, data = robot.pose(robot.home, "flange"), robot.model.createData()
     for _ in range(1500):
@@ -112,7 +113,7 @@ def test_the_spring_plant_rests_where_its_springs_carry_the_payload() -> None:
 def test_the_report_is_written_without_a_board(tmp_path) -> None:
     run_scenario(Press(duration=0.5), Options(), out=tmp_path)
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
-    assert "steady error gap" in page
+    assert "Steady force error against its closed form" in page
     assert json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))["metrics"]
 
 
@@ -164,4 +165,4 @@ def test_a_robot_that_cannot_press_everywhere_is_refused(wrong, words: str) -> N
 )
 def test_the_spring_plant_refuses_what_it_cannot_use(wrong, words: str) -> None:
     with pytest.raises(InputError, match=words):
-        SpringPlant(load_robot("fr3"), "flange", stiffness=np.ones(6), damping=np.ones(6), **wrong)
+        CompliantPlant(load_robot("fr3"), "flange", Springs(np.ones(6), np.ones(6)), **wrong)

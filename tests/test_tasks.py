@@ -40,20 +40,21 @@ class Bench:
         space = task.space or SPACE
         q, v = ca.SX.sym("q", 7), ca.SX.sym("v", 7)
         R, p, V = ca.SX.sym("R", 3, 3), ca.SX.sym("p", 3), ca.SX.sym("V", 6)
-        A, S = ca.SX.sym("A", k, n), ca.SX.sym("S", k, k)
+        A, S, v_c = ca.SX.sym("A", k, n), ca.SX.sym("S", k, k), ca.SX.sym("v_c", k)
         dt, freeze = ca.SX.sym("dt"), ca.SX.sym("freeze")
         u = {key: ca.SX.sym(key, *np.shape(x)) for key, x in task.inputs().items()}
         x = {key: ca.SX.sym(key, *np.shape(x)) for key, x in task.memory().items()}
         motion = FrameMotion(space, SymbolicPose(R, p), V)
         scene = Scene(
-            q=q, v=v, dt=dt, freeze=freeze, motion=motion, A=A, S=S, Lambda_inv=ca.SX.eye(6)
+            **{"q": q, "v": v, "dt": dt, "freeze": freeze, "motion": motion},
+            **{"A": A, "v_c": v_c, "S": S, "Lambda_inv": ca.SX.eye(6)},
         )
         written = task.objective(scene, u, x)
         asked = {key: x for key, x in written.objective._asdict().items() if x is not None}
         outputs = {**asked, **written.memory}
         outputs |= {f"signal.{key}": value for key, value in written.signals.items()}
         self.names = list(outputs)
-        arguments = [q, v, R, p, V, A, S, dt, freeze, *u.values(), *x.values()]
+        arguments = [q, v, R, p, V, A, v_c, S, dt, freeze, *u.values(), *x.values()]
         values = [ca.densify(value) for value in outputs.values()]
         self.function = ca.Function("task", arguments, values)
 
@@ -65,6 +66,7 @@ class Bench:
         q: np.ndarray | None = None,
         v: np.ndarray | None = None,
         A: np.ndarray = FREE,
+        v_c: np.ndarray | None = None,
         S: np.ndarray | None = None,
         freeze: bool = False,
         reference: Any = None,
@@ -84,6 +86,7 @@ class Bench:
             X.translation,
             twist,
             A.reshape(len(A), n),
+            np.zeros(len(A)) if v_c is None else v_c,
             S,
             DT,
             float(freeze),
@@ -216,8 +219,9 @@ def test_the_third_law_damps_the_velocity_along_the_rows_in_their_own_inertia() 
     root, V = rng.normal(size=(3, 3)), rng.normal(size=6)
     S = root @ root.T + np.eye(3)
     bench = Bench(ForceTask(space=SPACE, damping=12.0), k=3)
-    found = bench(V=V, A=ROWS_A, S=S, reference=REFERENCE, memory=REACHED)
-    brake = 12.0 * ROWS_A.T @ np.linalg.inv(S) @ ROWS_A @ V
+    v_c = np.array([0.3, -0.2, 0.5])
+    found = bench(V=V, A=ROWS_A, v_c=v_c, S=S, reference=REFERENCE, memory=REACHED)
+    brake = 12.0 * ROWS_A.T @ np.linalg.inv(S) @ (ROWS_A @ V - v_c)
     assert found["F_cmd"] == pytest.approx(F_REF - brake, abs=1e-9)
     assert F_REF[~PUSHED] == pytest.approx(found["F_cmd"][~PUSHED])  # free directions glide
 
