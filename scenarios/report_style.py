@@ -138,6 +138,7 @@ def spans(table: pl.DataFrame) -> list[Span]:
     ]
 
 
+@np.errstate(over="ignore")  # a run that diverged may leave single precision
 def packed(values: Array) -> dict[str, str]:
     """Return numbers as plotly.js reads them fastest, in single precision, for JSON."""
     return {"dtype": "f4", "bdata": b64encode(values.astype("<f4").tobytes()).decode()}

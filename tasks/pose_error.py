@@ -42,6 +42,8 @@ class MotionReference:
     """Desired body twist (6) [m/s, rad/s], in the desired frame."""
     V_dot_des: Twist = field(default_factory=lambda: np.zeros(6))
     """Its derivative (6) [m/s², rad/s²]."""
+    gains: Mapping[str, Array] = field(default_factory=dict)
+    """Inputs of the task to change from this tick on, by name."""
 
     def arrays(self) -> Mapping[str, Array]:
         """Return the task inputs that this reference sets."""
@@ -49,6 +51,7 @@ class MotionReference:
             "X_WD": self.X_WD.homogeneous[:3],
             "V_des": self.V_des,
             "V_dot_des": self.V_dot_des,
+            **self.gains,
         }
 
 

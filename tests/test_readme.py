@@ -14,7 +14,9 @@ def test_the_example_runs_and_explains_itself(capsys) -> None:
     assert "QP = hybrid law" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("page", ["README.md", "CONTRIBUTING.md", "docs/formulation.md"])
+@pytest.mark.parametrize(
+    "page", ["README.md", "CONTRIBUTING.md", "docs/formulation.md", "docs/guide.md"]
+)
 def test_links_lead_somewhere(page: str) -> None:
     text = (ROOT / page).read_text()
     for target, anchor in re.findall(r"\]\((?!https?:)([^)#\s]+)(#[^)]*)?\)", text):

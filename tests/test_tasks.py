@@ -294,6 +294,17 @@ def test_gains_that_come_with_the_reference_act_from_that_tick_on() -> None:
     assert found == pytest.approx(F_REF + 0.25 * (F_REF - CARRIED), abs=ROUND_OFF)
 
 
+def test_gains_of_a_motion_come_with_its_reference_too() -> None:
+    X, V, _ = poses(1)[0]
+    bench, held = Bench(MotionTask(space=SPACE, K_d=0.0)), X * pin.exp6(np.linspace(-0.4, 0.5, 6))
+    found = [
+        bench(X=X, V=V, reference=MotionReference(X_WD=held, gains={"K_p": np.full(6, gain)}))
+        for gain in (0.0, 7.0)
+    ]
+    pulled = found[1]["a_cmd"] - found[0]["a_cmd"]
+    assert pulled == pytest.approx(7.0 * oracles.pose_error(X, held), abs=1e-9)
+
+
 # Posture -----------------------------------------------------------------------------------
 
 
