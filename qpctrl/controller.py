@@ -122,7 +122,10 @@ class Controller:
                 )
 
     def start(self, mode: str, q: Vector) -> Memory:
-        """Return the memory of a controller that holds still at ``q`` (nq) in ``mode``."""
+        """Return the memory of a controller that holds still at ``q`` (nq) in ``mode``.
+
+        The first tick may change the torque that holds there by ``tau_rate`` times the period.
+        """
         engine, q = self._engine(mode), finite_array(q, (self.robot.nv,), "q")
         hold = self._fallback.torque(q, np.zeros(self.robot.nv))
         limit = engine.inputs["limits.tau_max"]

@@ -14,6 +14,7 @@ import polars as pl
 
 from qpctrl.arrays import positive
 from qpctrl.constraint import FaceOnPlane, Moving
+from qpctrl.errors import InputError
 from qpctrl.objective import Reference
 from scenarios.guided import (
     DT,
@@ -37,6 +38,7 @@ from scenarios.scenario import Criterion, Directive, Experiment, Options, Outcom
 from tasks import ForceReference, MotionReference
 
 BOARD = "board"
+FASTEST = 5.0  # m/s, of tool and board
 LIMITS = {
     "force_rmse_N": (1e-4, "N"),  # the law is exact: what the ramp left when the board sets off
     "position_rmse_mm": (0.02, "mm"),  # torque is held for a period while the reference moves on
@@ -108,6 +110,9 @@ class Conveyor:
     def __post_init__(self) -> None:
         for name in ("force", "speed", "board_speed", "distance", "heave", "rock", "frequency"):
             positive(getattr(self, name), (), name)
+        for name in ("speed", "board_speed"):
+            if getattr(self, name) > FASTEST:
+                raise InputError(f"{name}: got {getattr(self, name)}, need at most {FASTEST:g} m/s")
 
     def prepare(self, options: Options) -> Experiment:
         """Return the experiment, ready to run."""

@@ -28,6 +28,8 @@ from scenarios.report_trace import Curve, curve_figure
 from scenarios.scenario import Criterion, Directive, Experiment, Options, Outcome
 from tasks import ForceReference, ForceTask, MotionReference, MotionTask
 
+LONGEST = 50  # ticks of delay in the run that is shown
+
 AGREEMENT = 0.01
 """Relative: the bisection stops at 0.25 %, a short run sees growth of a fraction of 1 %."""
 
@@ -71,8 +73,8 @@ class ForceLoop:
         for name in ("force", "duration"):
             positive(getattr(self, name), (), name)
         non_negative(self.share, (), "share")
-        if self.delay < 1:
-            raise InputError(f"delay: got {self.delay}, need at least 1 tick")
+        if not 1 <= self.delay <= LONGEST:
+            raise InputError(f"delay: got {self.delay}, need 1 to {LONGEST} ticks")
         if self.duration > 60.0:
             raise InputError(f"duration: got {self.duration}, need at most 60 s")
 

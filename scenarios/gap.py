@@ -131,6 +131,16 @@ class Gap:
         if self.depth >= SEARCH_DEPTH:
             raise InputError(f"depth: got {self.depth}, need less than {SEARCH_DEPTH} m")
         least = self.fall_after + self.search_time + 2 * SETTLE_TIME
+        if self.loss_time is None and self.k_fi >= self.damping * (1 + self.k_fp):
+            raise InputError(
+                f"k_fi: got {self.k_fi}, need less than damping (1 + k_fp) = "
+                f"{self.damping * (1 + self.k_fp):g} 1/s: else the integral gathers speed"
+            )
+        if self.loss_time is not None and self.loss_time >= self.search_time:
+            raise InputError(
+                f"loss_time: got {self.loss_time}, need less than {self.search_time:.3g} s, in "
+                "which the search would cross the gap"
+            )
         if self.fall_after <= PRESS_TIME + SETTLE_TIME:
             raise InputError(
                 f"fall_after: got {self.fall_after}, need more than {PRESS_TIME + SETTLE_TIME} s, "

@@ -13,8 +13,10 @@ import pinocchio as pin
 import polars as pl
 
 from qpctrl.arrays import Matrix, positive
+from qpctrl.errors import InputError
 from qpctrl.mode import Mode
 from qpctrl.objective import Reference, Weighted
+from qpctrl.robot import Robot
 from scenarios.environment import Hand
 from scenarios.guided import DT, FLANGE, arm_at_home
 from scenarios.metric import column, tick_metrics, whole_run_metrics
@@ -110,6 +112,7 @@ class Impedance:
         """Return the experiment, ready to run."""
         robot, X_WD = arm_at_home(self.robot)
         plan = self.plan
+        self._check_mass(robot)
         tasks = (Weighted(self.task()), Weighted(PostureTask(q_ref=robot.home)))
         controller = options.controller(robot, (Mode(name=TASK, tasks=tasks),), DT)
         return Experiment(
@@ -122,6 +125,21 @@ class Impedance:
             horizon=plan.duration + 1.0,
             geometry={},
         )
+
+    def _check_mass(self, robot: Robot) -> None:
+        """Refuse a virtual mass with which the loop is unstable at home."""
+        task = self.task()
+        if task.M_v is None:
+            return
+        alpha = 1 - np.exp(-2 * np.pi * task.cutoff * DT)
+        Lambda = inertia_at_home(robot, FLANGE.frame)
+        largest = float(np.linalg.eigvals(np.linalg.solve(Lambda, task.M_v)).real.max())
+        if alpha * largest >= 2:
+            raise InputError(
+                f"mass, inertia: got {self.mass} kg and {self.inertia} kg m², need at most "
+                f"{2 / (alpha * largest):.3g} times as much: the measured acceleration is one "
+                "tick old"
+            )
 
     def model(self, table: pl.DataFrame) -> Matrix:
         """Return x (ticks×6) [m, rad] of the impedance that the hand should feel."""

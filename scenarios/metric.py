@@ -8,7 +8,7 @@ import polars as pl
 
 from qpctrl.arrays import Matrix, Vector
 from qpctrl.contact import ContactPhase
-from scenarios.record import fallback_count
+from scenarios.record import WRENCH, fallback_count
 
 SETTLE_TIME = 0.5
 """Time [s] from regaining contact until the force is judged as that of wiping."""
@@ -130,12 +130,17 @@ def whole_run_metrics(table: pl.DataFrame) -> dict[str, float]:
 
 
 def energy_metrics(table: pl.DataFrame) -> dict[str, float]:
-    """Return the energy given to the environment in the whole run, where a task observes it."""
-    observers = [name for name in table.columns if name.endswith(".energy.0")]
-    energies = [column(table, name) for name in observers]
-    known = [energy[np.isfinite(energy)] for energy in energies]
-    ends = [float(energy[-1]) for energy in known if len(energy)]
-    return {"energy_to_environment_J": sum(ends)} if ends else {}
+    """Return the energy given to the environment in the whole run, by true wrench and twist.
+
+    Unlike the observer of the tasks it does not mind how late a sensor is.
+    """
+    twists = [name.removesuffix(".V.0") for name in table.columns if name.endswith(".V.0")]
+    if not twists or len(table) < 2:
+        return {}
+    V = np.stack([column(table, f"{twists[0]}.V.{i}") for i in range(6)], axis=1)
+    F = np.stack([column(table, f"wrench.{name}") for name in WRENCH], axis=1)
+    power = np.nansum(F[1:] * V[:-1], axis=1)  # a wrench is one period old
+    return {"energy_to_environment_J": float(np.trapezoid(power, column(table, "time")[:-1]))}
 
 
 _LOSS_NAMES = (

@@ -107,8 +107,8 @@ class Press:
     def __post_init__(self) -> None:
         for name in ("duration", "stiffness", "stiffness_rot"):
             positive(getattr(self, name), (), name)
-        if self.duration > 3600.0:
-            raise InputError(f"duration: got {self.duration}, need at most 3600 s")
+        if not 0.3 <= self.duration <= 3600.0:
+            raise InputError(f"duration: got {self.duration}, need 0.3 to 3600 s")
         if self.feedback not in GAINS:
             raise InputError(f"feedback: got {self.feedback!r}, need one of {', '.join(GAINS)}")
         optional = [name for name in ("k_fp", "k_fi", "damping") if getattr(self, name) is not None]

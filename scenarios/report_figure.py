@@ -210,12 +210,17 @@ def equal_words(table: pl.DataFrame) -> str:
         return "A limit bound, or there was no solution, on every tick: nothing to compare."
     equal = "one law, to round-off" if gap <= LAW_LIMIT else "not one law to round-off (10⁻⁸)"
     ticks = f"{style.number(len(free))} of {style.number(len(table))} ticks"
+    printed = (
+        f"The law as the textbook prints it differs by up to {style.number(textbook)}; its "
+        "curvature term Jᵀ Aᵀ S⁻¹ Ȧ V, a force error that the QP does not make, explains all of "
+        f"it but {style.number(rest)}. "
+    )
+    if textbook <= LAW_LIMIT:
+        printed = "So is the law as the textbook prints it: no constraint turns or moves here. "
     return (
         f"On the {ticks} on which no limit binds, the torque of the QP and that of the closed-form "
         f"hybrid law differ by at most {style.number(gap)} of max |τ|: they are {equal}. "
-        f"The law as the textbook prints it differs by up to {style.number(textbook)}; its "
-        f"curvature term Jᵀ Aᵀ S⁻¹ Ȧ V, a force error that the QP does not make, explains all of "
-        f"it but {style.number(rest)}. (Each point is the largest of a few neighbouring ticks.)"
+        f"{printed}(Each point is the largest of a few neighbouring ticks.)"
     )
 
 

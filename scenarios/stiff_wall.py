@@ -92,7 +92,7 @@ class StiffWall:
             raise InputError(f"duration: got {self.duration}, need at most 60 s")
 
     def computed_limit(self) -> float:
-        """Return the stiffness [N/m] at which the sampled linear loop has an eigenvalue of 1.
+        """Return the stiffness [N/m] at which an eigenvalue of the sampled loop has magnitude 1.
 
         Raises:
             InputError: the loop is stable, or unstable, over the whole range searched.
@@ -193,7 +193,7 @@ class StiffWall:
         return tuple(Criterion(name, metrics[name], limit, unit) for name, limit, unit in limits)
 
     def panels(self, outcome: Outcome) -> tuple[Panel, ...]:
-        """Return the force on the wall, and the growth against stiffness."""
+        """Return the force on the wall."""
         table, metrics = outcome.table, outcome.summary["metrics"]
         force = Curve("force on the wall", column(table, "wrench.fx"))
         late = (1 + self.delay) * DT + (1 / (2 * np.pi * self.cutoff) if self.cutoff else 0.0)
@@ -201,9 +201,9 @@ class StiffWall:
             f"The wall is {self.times_limit:g} times as stiff as the limit of "
             f"{metrics['stiffness_limit_N_per_m']:.4g} N/m. The arm sees the force "
             f"{1e3 * late:.1f} ms late; a late spring force has a part that pushes along with the "
-            "velocity, and where that outweighs the virtual damping every bounce is higher than "
-            "the last. A softer wall, more damping, or a virtual mass as heavy as the tool's own "
-            "cures it; a faster sensor moves the limit."
+            "velocity; beyond the limit it outweighs the virtual damping, and every bounce is "
+            "higher than the last. A softer wall, more damping, or a virtual mass as heavy as "
+            "the tool's own cures it; a faster sensor moves the limit."
         )
         figure = curve_figure(table, "force", "N", [force])
         return (Panel("force", "Force on the wall", words, figure),)

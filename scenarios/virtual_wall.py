@@ -1,7 +1,7 @@
 """A stiff virtual wall, felt through an interface with quantised encoders.
 
 The wall is a spring that is computed once a period T and held: late by T/2 on average, it gives
-back more energy than it took, K T / 2 per unit of damping. Only friction of the interface itself
+back more energy than it took, as a damper of −K T / 2 would. Only friction of the interface itself
 makes up for it: the wall is passive iff b > K T / 2. The limit is found by bisection: a hand
 moves the interface to and fro inside the wall, and the energy it gets back is summed up.
 Source: Colgate1997.
@@ -109,8 +109,8 @@ class VirtualWall:
                 f"amplitude: got {self.amplitude} m, need at least 50 encoder counts, "
                 f"{50 * self.resolution:g} m"
             )
-        if self.duration > 60.0:
-            raise InputError(f"duration: got {self.duration}, need at most 60 s")
+        if not 2 / FREQUENCY <= self.duration <= 60.0:
+            raise InputError(f"duration: got {self.duration}, need {2 / FREQUENCY:g} to 60 s")
 
     @property
     def limit(self) -> float:
@@ -185,20 +185,20 @@ class VirtualWall:
         """Return the scenario's own criteria on its metrics."""
         limits = [
             ("passivity_limit_gap", 0.01, "× K T / 2"),
-            ("energy_to_hand_J", 0.0, "J"),
+            ("energy_to_hand_J", -1e-9, "J"),
             ("fallback_ticks", 0.0, "ticks"),
             ("qp_law_gap_max", 1e-8, "× max |τ|"),
         ]
         return tuple(Criterion(name, metrics[name], limit, unit) for name, limit, unit in limits)
 
     def panels(self, outcome: Outcome) -> tuple[Panel, ...]:
-        """Return force over position, and both over time."""
+        """Return force and position over time."""
         table, metrics = outcome.table, outcome.summary["metrics"]
         found = metrics["passivity_limit_Ns_per_m"]
         words = (
-            f"The wall is felt at positions above 0. Its friction is {self.times_limit:g} times "
-            f"K T / 2 = {self.limit:g} N s/m; below {found:.4g} N s/m, found by bisection, the "
-            "wall gives the hand more energy than it takes."
+            "The wall is felt at positions above 0. The interface's friction is "
+            f"{self.times_limit:g} times K T / 2 = {self.limit:g} N s/m; below {found:.4g} N s/m, "
+            "found by bisection, the wall gives the hand more energy than it takes."
         )
         x = Curve("position", 1e3 * column(table, "q.x"))
         force = Curve("force on the hand", column(table, "wrench.fx"))

@@ -2,9 +2,10 @@
 
     M_v ẍ_d + B_v ẋ + K_v x = f_ext    →    a_cmd = M_v⁻¹ (f_ext − B_v ẋ − K_v x)
 
-x runs from the reference to the frame; f_ext, the wrench on the robot, is the low-pass filtered
-reading of a force-torque sensor. Simplified: a spring alone, x_d = K_v⁻¹ f_ext, or a damper
-alone, ẋ_d = B_v⁻¹ f_ext, followed by a motion loop. Source: LynchPark2017 §11.7.2.
+x runs from the reference to the frame; f_ext is the wrench on the robot: minus the low-pass
+filtered reading of a force-torque sensor, which is of robot on environment. Simplified: a spring
+alone, x_d = K_v⁻¹ f_ext, or a damper alone, ẋ_d = B_v⁻¹ f_ext, followed by a motion loop.
+Source: LynchPark2017 §11.7.2.
 """
 
 from collections.abc import Mapping
@@ -60,9 +61,10 @@ class AdmittanceReference:
 class AdmittanceTask:
     """Move like a virtual mass, damper and spring under the sensed wrench.
 
-    The filtered wrench is also compensated in the dynamics, so that the arm follows a_cmd
-    whatever its own inertia. Meant for soft environments: on a stiff one the delay of
-    sensor and filter makes the loop unstable. Gains are scalars, diagonals (n), or (n×n).
+    In free space the filtered wrench is also compensated in the dynamics, so that the arm follows
+    a_cmd whatever its own inertia; on a constraint the force task of that space does so. Meant for
+    soft environments: on a stiff one the delay of sensor and filter makes the loop unstable. Gains
+    are scalars, diagonals (n), or (n×n).
     """
 
     space: TaskSpace
@@ -123,7 +125,7 @@ class AdmittanceTask:
         a_cmd = error.feed_forward + free @ self._answer(u, error, F_ext)
         given = observe_energy(u["F_meas"], scene.motion.V, memory, scene.dt)
         return TaskExpressions(
-            objective=MotionObjective(a_cmd, F_ext),
+            objective=MotionObjective(a_cmd, None if scene.A.shape[0] else F_ext),
             memory={"F_ext": F_ext, **given.memory},
             signals={
                 **motion_signals(error, scene.motion),

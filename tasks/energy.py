@@ -5,6 +5,7 @@
 A measured wrench is one period old. It is paired with the twist of the same instant, which is
 also the one in the same frame: along the rows of a rigid constraint at rest P is then zero to
 round-off, and elsewhere the sum is accurate to second order in the period.
+A sensor that is late by more than that period makes the sum wrong: the wrench meets another twist.
 Source: Hannaford2002.
 """
 

@@ -207,3 +207,9 @@ def test_the_conveyor_refuses_what_makes_no_sense(name: str) -> None:
         with pytest.raises(InputError, match=f"{name}: .*") as refused:
             Conveyor(**{name: value})
         assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("name", ["speed", "board_speed"])
+def test_the_conveyor_refuses_what_no_arm_can_follow(name: str) -> None:
+    with pytest.raises(InputError, match=f"{name}: got 1000.0, need at most 5 m/s"):
+        Conveyor(**{name: 1e3})

@@ -104,7 +104,7 @@ def test_the_force_ramps_anew_after_the_regain() -> None:
 
 
 def test_pressing_on_without_a_contact_life_makes_the_tool_fast() -> None:
-    experiment = Gap(loss_time=1e3).prepare(Options())
+    experiment = Gap(loss_time=0.4).prepare(Options())
     table = falling(simulate(replace(experiment, horizon=SOON)))
     assert table["contact"].unique().to_list() == ["PRESS"]
     in_the_gap = table.filter(~pl.col("touching"))

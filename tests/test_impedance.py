@@ -11,12 +11,25 @@ import pinocchio as pin
 import pytest
 from cases import ROBOTS, SPACES, states
 
-from qpctrl import Controller, InputError, Measurement, Mode, Robot, TaskSpace, Weighted
+from qpctrl import (
+    Controller,
+    FaceOnPlane,
+    InputError,
+    Measurement,
+    Mode,
+    Robot,
+    TaskSpace,
+    Weighted,
+)
 from tasks import (
     AdmittanceReference,
     AdmittanceTask,
+    ForceReference,
+    ForceTask,
     ImpedanceReference,
     ImpedanceTask,
+    MotionReference,
+    MotionTask,
     PostureTask,
 )
 
@@ -163,6 +176,30 @@ def test_admittance_moves_the_virtual_mass_and_compensates_the_reading(index: in
     a_cmd = ahead + np.linalg.solve(M_V, -filtered - B_V @ x_dot - K_V @ x)
     found = torque(task, reference, q, v, {"F_ext": before})
     assert np.abs(found - law(terms, a_cmd, filtered)).max() < 1e-7 * np.abs(found).max()
+
+
+def test_on_a_surface_the_force_task_alone_compensates_what_is_measured() -> None:
+    """10 N measured on 10 N asked for leave 10 N, not 20, whichever task moves the tool."""
+    robot, push = arm(), np.array([0.0, 0.0, 10.0, 1.0, 0.0, 0.0])
+    X_WF = robot.pose(robot.home, SPACE.frame)
+    board = FaceOnPlane(space=SPACE, R_WE=X_WF.rotation)
+    pressed = []
+    for task, reference in (
+        (MotionTask(space=SPACE), MotionReference(X_WD=X_WF)),
+        (AdmittanceTask(space=SPACE), AdmittanceReference(X_WD=X_WF, F_meas=push)),
+    ):
+        force = ForceTask(space=SPACE, ramp=1e9)
+        tasks = (Weighted(task), Weighted(force), Weighted(PostureTask(q_ref=robot.home)))
+        controller = Controller(robot, [Mode(name="press", tasks=tasks, constraints=(board,))])
+        references = {task.name: reference, "force": ForceReference(F_ref=push, F_meas=push)}
+        start = controller.start("press", robot.home)
+        report = controller.step(
+            "press", Measurement(1e-3, robot.home, np.zeros(7)), references, start
+        )[1]
+        pressed.append((report.lam, report.tau_qp))
+    assert pressed[1][0][0] == pytest.approx(10.0, abs=1e-9)
+    assert pressed[1][0] == pytest.approx(pressed[0][0], abs=1e-9)
+    assert robot.nv == len(pressed[1][1])
 
 
 @pytest.mark.parametrize("simulated", ["spring", "damper"])

@@ -132,6 +132,12 @@ def test_the_wall_is_stiff_enough_to_fail_and_a_softer_one_is_not() -> None:
     assert soft.metrics["growth_per_s"] < -1.0
 
 
+def test_the_energy_of_a_run_does_not_mind_a_late_sensor() -> None:
+    """A spring can give back no more than it holds at the start."""
+    stored = 0.5 * 1.5 * ran(*RUNS["stiff wall"]).metrics["stiffness_limit_N_per_m"] * 1e-4**2
+    assert ran(*RUNS["soft wall"]).metrics["energy_to_environment_J"] > -1.05 * stored
+
+
 def test_friction_below_the_limit_lets_the_wall_give_energy() -> None:
     wall = VirtualWall()
     gained = {share: wall.energy_to_hand(share * wall.limit) for share in (0.8, 1.2)}
@@ -228,6 +234,8 @@ def test_an_encoder_counts_and_its_velocity_is_a_difference() -> None:
         (lambda: Haptic(low=5.0, high=2.0), "low < high"),
         (lambda: Haptic(high=300.0), "high"),
         (lambda: Impedance(stiffness=-1.0), "stiffness"),
+        (lambda: Impedance(mass_term=True, mass=100.0).prepare(Options()), "one tick"),
+        (lambda: VirtualWall(duration=0.001), "duration: got 0.001"),
         (lambda: Impedance(mass=0.0), "mass: .*> 0"),
         (lambda: Admittance(inertia=-1.0), "inertia"),
         (lambda: Admittance(bias=(1.0, 2.0)), "bias"),

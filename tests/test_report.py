@@ -5,6 +5,8 @@ import json
 import re
 import struct
 import zlib
+from collections import defaultdict
+from collections.abc import Mapping
 from html.parser import HTMLParser
 from typing import Any
 
@@ -19,9 +21,10 @@ from hypothesis.extra.numpy import arrays
 
 from qpctrl import InputError, Status
 from scenarios import report_figure, report_style
+from scenarios.catalogue import SCENARIOS
 from scenarios.panel import board_panels
 from scenarios.picture import png, render_scene
-from scenarios.report import label, quantity, render_report
+from scenarios.report import LABELS, label, quantity, render_report
 from scenarios.world import build_world
 
 TICKS = 5000
@@ -126,6 +129,13 @@ def trace(figure: report_figure.Figure | None, name: str) -> dict[str, Any]:
     assert figure
     (found,) = [t for t in figure["data"] if t["name"] == name]
     return found
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_every_judged_metric_has_a_label(name: str) -> None:
+    metrics: Mapping[str, float] = defaultdict(float)
+    unnamed = {c.name for c in SCENARIOS[name]().judge(metrics)} - set(LABELS)
+    assert not unnamed
 
 
 def test_page_of_a_good_run_says_so_in_words() -> None:
