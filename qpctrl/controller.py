@@ -11,7 +11,7 @@ from qpctrl.certificate import KKT_TOLERANCE
 from qpctrl.contact import ContactPhase
 from qpctrl.engine import Engine
 from qpctrl.errors import InputError, unknown_name
-from qpctrl.fallback import Fallback, limited
+from qpctrl.fallback import Fallback
 from qpctrl.mode import Mode
 from qpctrl.objective import Reference
 from qpctrl.qp import FORMS
@@ -127,10 +127,10 @@ class Controller:
         The first tick may change the torque that holds there by ``tau_rate`` times the period.
         """
         engine, q = self._engine(mode), finite_array(q, (self.robot.nv,), "q")
-        hold = self._fallback.torque(q, np.zeros(self.robot.nv))
-        limit = engine.inputs["limits.tau_max"]
-        x = engine.tick.memory.vector()
-        return Memory(mode, x, np.clip(hold, -limit, limit), -math.inf, q)
+        rest = np.zeros(self.robot.nv)
+        hold = self._fallback.torque(q, rest)
+        tau = self._limited(engine, hold, hold, rest)
+        return Memory(mode, engine.tick.memory.vector(), tau, -math.inf, q)
 
     def step(
         self,
@@ -169,7 +169,7 @@ class Controller:
         report = report._replace(contact=measurement.contact)
         if report.status is not Status.OK:
             return self._hold(engine, measurement, report, memory)
-        tau = self._choose(engine, report, memory)
+        tau = self._choose(engine, report, memory, measurement.v)
         open_contact = not measurement.contact.closed
         after = Memory(
             mode=mode,
@@ -188,11 +188,11 @@ class Controller:
             raise unknown_name("mode", mode, self.engines)
         return self.engines[mode]
 
-    def _choose(self, engine: Engine, report: TickReport, memory: Memory) -> Vector:
+    def _choose(self, engine: Engine, report: TickReport, memory: Memory, v: Vector) -> Vector:
         if self.law == "qp":
             return report.tau_qp
         tau = report.tau_hybrid if self.law == "hybrid" else report.tau_textbook
-        return self._limited(engine, tau, memory)
+        return self._limited(engine, tau, memory.tau, v)
 
     def _hold(
         self, engine: Engine, measurement: Measurement, report: TickReport, memory: Memory
@@ -206,7 +206,7 @@ class Controller:
             v = np.array(measurement.v)
             if not np.isfinite(v).all():
                 v = (q - memory.q) / elapsed  # zero after a start, whose time is −∞
-        tau = self._limited(engine, self._fallback.torque(q, v), memory)
+        tau = self._limited(engine, self._fallback.torque(q, v), memory.tau, v)
         after = memory._replace(
             tau=tau,
             time=measurement.time if known else memory.time,
@@ -217,10 +217,8 @@ class Controller:
         )
         return Command(tau, fallback=True), report, after
 
-    def _limited(self, engine: Engine, tau: Vector, memory: Memory) -> Vector:
-        limits = engine.inputs
-        step = limits["limits.tau_rate"] * self.dt
-        return limited(tau, memory.tau, limits["limits.tau_max"], step)
+    def _limited(self, engine: Engine, tau: Vector, tau_last: Vector, v: Vector) -> Vector:
+        return self._fallback.limited(tau, tau_last, v, engine.inputs)
 
     def _carry(self, memory: Memory, engine: Engine) -> Vector:
         """Return the new mode's memory, with what both modes' tasks share taken over."""

@@ -11,6 +11,7 @@ from qpctrl import certificate
 from qpctrl.arrays import Array, Vector
 from qpctrl.errors import InputError, unknown_name
 from qpctrl.evaluator import Evaluator
+from qpctrl.limit import torque_speed
 from qpctrl.mode import Mode
 from qpctrl.objective import Reference
 from qpctrl.polish import Polish, active_set
@@ -23,6 +24,9 @@ from qpctrl.tick import MATRICES, SINGULAR_MOBILITY, build_tick
 
 ACTIVE_DUAL = 1e-8
 """A row counts as active when its dual is larger than this."""
+
+SAME_TORQUE = 1e-6
+"""Distance [Nm] within which a torque is said to be on a limit."""
 
 WELL_POLISHED = 1e-12
 """KKT residual below which a polished solution is taken as it is."""
@@ -227,8 +231,7 @@ class Engine:
         kind, _, owner = self.tick.rows.inequality[row].partition(" ")
         u, nu = self.inputs, self._robot.nu
         if kind == "torque":
-            room = abs(abs(float(self._certify.outputs["tau"][row])) - u["limits.tau_max"][row])
-            kind = "torque" if room < 1e-6 else "torque rate"
+            kind = self._torque_limit(row, 1.0 if dual > 0 else -1.0)
         elif kind == "acceleration":
             i = row - nu
             r_v, v = u["limits.rates"][1], self._evaluate.inputs["v"][i]
@@ -236,6 +239,16 @@ class Engine:
             by_speed = r_v * (np.copysign(u["limits.v_max"][i], dual) - v)
             kind = "velocity" if abs(bound - by_speed) < 1e-9 * (1 + abs(bound)) else "position"
         return ActiveLimit(f"{kind} {owner}", dual)
+
+    def _torque_limit(self, row: int, side: float) -> str:
+        """Return what bounds the torque of actuator ``row`` from above (1) or below (−1)."""
+        u, tau = self.inputs, self._certify.outputs["tau"]
+        if side * tau[row] > u["limits.tau_max"][row] - SAME_TORQUE:
+            return "torque"
+        v_a = self._robot.B.T @ self._evaluate.inputs["v"]
+        line = torque_speed(side, u["limits.tau_stall"], u["limits.tau_droop"], v_a)
+        on_line = side * tau[row] > side * line[row] - SAME_TORQUE  # or beyond it, at ∓tau_max
+        return "torque-speed" if on_line else "torque rate"
 
     def _yields(self, x: Vector) -> tuple[Yield, ...]:
         give = self.terms["G"] @ (x - self.terms["x_law"])

@@ -1,7 +1,7 @@
-"""Torque, torque-rate, joint position and velocity limits as bounds of the QP."""
+"""Torque, torque-speed, torque-rate, joint position and velocity limits as bounds of the QP."""
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -20,6 +20,13 @@ VELOCITY_RATE = 200.0
 """Rate [1/s] at which a joint may close the distance to its velocity limit."""
 
 
+TORQUE_INPUTS = ("tau_max", "tau_stall", "tau_droop", "tau_rate", "tau_last")
+"""Names of the inputs that bound the torque, each of shape (nu)."""
+
+Quantity = TypeVar("Quantity", SX, Array)
+"""Expressions or numbers."""
+
+
 class Bounds(NamedTuple):
     """Lower and upper bounds of one group of rows."""
 
@@ -35,18 +42,62 @@ def inputs(robot: Robot) -> dict[str, Array]:
         "q_max": np.clip(limits.q_max, None, UNBOUNDED),
         "v_max": np.clip(limits.v_max, None, UNBOUNDED),
         "tau_max": np.clip(limits.tau_max, None, UNBOUNDED),
+        "tau_stall": np.clip(limits.tau_stall, None, UNBOUNDED),
+        "tau_droop": limits.tau_droop,
         "tau_rate": np.clip(limits.tau_rate, None, UNBOUNDED),
         "tau_last": np.zeros(robot.nu),
         "rates": np.array([POSITION_RATE, VELOCITY_RATE]),
     }
 
 
-def torque_bounds(u: Mapping[str, SX], dt: SX) -> Bounds:
-    """Return bounds on τ (nu) [Nm]: ±tau_max, and within tau_rate · dt of the last torque."""
+def torque_speed(side: float, stall: Quantity, droop: Quantity, v_a: Quantity) -> Quantity:
+    """Return the line ±τ_stall − k_ω v_a (nu) [Nm] that the supply voltage sets to the torque.
+
+    Args:
+        side: 1 for the upper line, −1 for the lower one.
+        stall: τ_stall (nu) [Nm].
+        droop: k_ω (nu) [Nm s/rad].
+        v_a: speed of the actuators, Bᵀ v (nu) [rad/s].
+    """
+    return side * stall - droop * v_a
+
+
+def torque_bounds(u: Mapping[str, SX], dt: SX, v_a: SX) -> Bounds:
+    """Return bounds on τ (nu) [Nm]: current, back-EMF, and tau_rate · dt around the last torque.
+
+    −τ_stall − k_ω v_a ≤ τ ≤ τ_stall − k_ω v_a inside ±tau_max. Where a joint is driven so fast that
+    the line leaves ±tau_max, the end of ±tau_max that is nearest to it is what remains.
+
+    Args:
+        u: the inputs named in `TORQUE_INPUTS`.
+        dt: period of the loop [s].
+        v_a: speed of the actuators, Bᵀ v (nu) [rad/s].
+    """
+    line = [torque_speed(side, u["tau_stall"], u["tau_droop"], v_a) for side in (-1.0, 1.0)]
+    lo, hi = (ca.fmax(-u["tau_max"], ca.fmin(tau, u["tau_max"])) for tau in line)
     step = u["tau_rate"] * dt
-    lb = ca.fmax(-u["tau_max"], ca.fmin(u["tau_last"], u["tau_max"]) - step)
-    ub = ca.fmin(u["tau_max"], ca.fmax(u["tau_last"], -u["tau_max"]) + step)
+    lb = ca.fmax(lo, ca.fmin(u["tau_last"], hi) - step)
+    ub = ca.fmin(hi, ca.fmax(u["tau_last"], lo) + step)
     return _finite(Bounds(lb, ub))
+
+
+def limited_torque(robot: Robot) -> ca.Function:
+    """Return (tau, v, dt, *TORQUE_INPUTS) → tau (nu) [Nm] moved inside `torque_bounds`."""
+    tau, v, dt = ca.SX.sym("tau", robot.nu), ca.SX.sym("v", robot.nv), ca.SX.sym("dt")
+    u = {name: ca.SX.sym(name, robot.nu) for name in TORQUE_INPUTS}
+    lb, ub = torque_bounds(u, dt, actuator_speed(robot, v))
+    return ca.Function(
+        "limited_torque",
+        [tau, v, dt, *u.values()],
+        [ca.fmin(ca.fmax(tau, lb), ub)],
+        ["tau", "v", "dt", *u],
+        ["limited"],
+    )
+
+
+def actuator_speed(robot: Robot, v: SX) -> SX:
+    """Return v_a = Bᵀ v (nu) [rad/s]: what each torque is multiplied with to give power."""
+    return ca.SX(robot.B.T) @ v
 
 
 def acceleration_bounds(u: Mapping[str, SX], q: SX, v: SX) -> Bounds:

@@ -25,8 +25,8 @@ class ActiveLimit(NamedTuple):
     """A row of the QP that binds."""
 
     name: str
-    """``torque JOINT``, ``torque rate JOINT``, ``position JOINT``, ``velocity JOINT`` or
-    ``unilateral ROW`` or ``contact LIMIT.ROW``."""
+    """``torque JOINT``, ``torque-speed JOINT``, ``torque rate JOINT``, ``position JOINT``,
+    ``velocity JOINT``, ``unilateral ROW`` or ``contact LIMIT.ROW``."""
     dual: float
     """Its multiplier; positive on an upper bound, negative on a lower one. The unit is that of
     the cost [N²/kg] over that of the row."""

@@ -6,8 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import ArrayLike
 
-from qpctrl.arrays import Matrix, Vector, finite_array, positive
+from qpctrl.arrays import Array, Matrix, Vector, finite_array, non_negative, positive
 from qpctrl.errors import InputError, unknown_name
 
 DEFAULT_TORQUE_RATE = 1000.0
@@ -32,11 +33,21 @@ class Limits:
     """Highest torque (nu) [Nm or N], used with both signs."""
     tau_rate: Vector
     """Highest torque rate (nu) [Nm/s or N/s]."""
+    tau_stall: Vector = field(default_factory=lambda: np.empty(0))
+    """Torque at rest that the supply voltage can drive (nu) [Nm or N]; default: no limit."""
+    tau_droop: Vector = field(default_factory=lambda: np.empty(0))
+    """Torque lost to back-EMF per speed (nu) [Nm s/rad or N s/m]; default: 0. It matters only
+    where ``tau_stall`` is finite; their ratio is the no-load speed."""
 
     def __post_init__(self) -> None:
         for name in ("v_max", "tau_max", "tau_rate"):
             value = getattr(self, name)
-            positive(np.where(np.isinf(value), 1.0, value), value.shape, name)
+            _positive_or_inf(value, value.shape, name)
+        nu = self.tau_max.shape
+        stall = self.tau_stall if np.size(self.tau_stall) else np.inf
+        droop = self.tau_droop if np.size(self.tau_droop) else 0.0
+        object.__setattr__(self, "tau_stall", _positive_or_inf(stall, nu, "tau_stall"))
+        object.__setattr__(self, "tau_droop", non_negative(droop, nu, "tau_droop"))
         if not (self.q_min < self.q_max).all():
             raise InputError(
                 f"q_min {self.q_min.tolist()} is not below q_max {self.q_max.tolist()}"
@@ -202,6 +213,11 @@ def urdf_text(path: Path) -> str:
             limit.attrib = {"effort": "0", "velocity": "0", **limit.attrib}
             limit.attrib |= {"lower": f"{-NO_LIMIT}", "upper": f"{NO_LIMIT}"}
     return ElementTree.tostring(root, encoding="unicode")
+
+
+def _positive_or_inf(value: ArrayLike, shape: tuple[int, ...], name: str) -> Array:
+    none = np.asarray(value) == np.inf
+    return np.where(none, np.inf, positive(np.where(none, 1.0, value), shape, name))
 
 
 def _far_is_none(limit: Vector) -> Vector:

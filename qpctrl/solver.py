@@ -28,6 +28,10 @@ EPS = 1e-11
 EPS_RELATIVE = 1e-13
 """Accuracy relative to the data, for QPs too large in number for the absolute one."""
 
+DUALITY_GAP = 1e-9
+"""Largest duality gap of proxsuite's answer [N²/kg]; without it an answer from before counts
+as solved as long as it is inside the new bounds."""
+
 MAX_ITERATIONS = 20
 """Iterations of proxsuite before it gives up, within half a millisecond; wiping needs 2 to 14."""
 
@@ -93,6 +97,8 @@ class ProxSuite:
         self._qp = solver = dense.QP(len(qp.g), len(qp.b), len(qp.lb))
         solver.settings.eps_abs = EPS
         solver.settings.eps_rel = EPS_RELATIVE
+        solver.settings.check_duality_gap = True  # or a limit that is widened goes unnoticed
+        solver.settings.eps_duality_gap_abs = DUALITY_GAP
         solver.settings.max_iter = MAX_ITERATIONS
         solver.settings.max_iter_in = MAX_ITERATIONS
         solver.settings.initial_guess = WARM_START
@@ -111,11 +117,13 @@ class QpSolvers:
 
     def solve(self, qp: QpData) -> Solution:
         """Return the back-end's solution."""
-        upper, lower = qp.ub < UNBOUNDED, qp.lb > -UNBOUNDED
+        fixed = qp.lb == qp.ub  # as two inequalities they would depend on each other
+        upper, lower = (qp.ub < UNBOUNDED) & ~fixed, (qp.lb > -UNBOUNDED) & ~fixed
         G = np.vstack([qp.C[upper], -qp.C[lower]])
         h = np.concatenate([qp.ub[upper], -qp.lb[lower]])
-        H, G, A = (csc_matrix(m) if self._sparse else m for m in (qp.H, G, qp.A))
-        rows = (A, qp.b) if len(qp.b) else (None, None)
+        A, b = np.vstack([qp.A, qp.C[fixed]]), np.concatenate([qp.b, qp.ub[fixed]])
+        H, G, A = (csc_matrix(m) if self._sparse else m for m in (qp.H, G, A))
+        rows = (A, b) if len(b) else (None, None)
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # what they say is in the outcome
@@ -128,8 +136,9 @@ class QpSolvers:
         dual = np.zeros(len(h)) if found.z is None else np.asarray(found.z)
         z[upper] += dual[: upper.sum()]
         z[lower] -= dual[upper.sum() :]
-        y = np.zeros(len(qp.b)) if found.y is None else np.asarray(found.y)
-        return Solution(np.asarray(found.x), y, z)
+        y = np.zeros(len(b)) if found.y is None else np.asarray(found.y)
+        z[fixed] = y[len(qp.b) :]
+        return Solution(np.asarray(found.x), y[: len(qp.b)], z)
 
 
 def _nothing(qp: QpData) -> Solution:

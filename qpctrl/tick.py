@@ -166,7 +166,9 @@ def _qp_terms(model: ModeModel) -> QpTerms:
         AJ=ca.vertcat(*AJ),
         b_c=ca.vertcat(*b_c),
         B=model.robot.B,
-        torque=limit.torque_bounds(limits, u["dt"]),
+        torque=limit.torque_bounds(
+            limits, u["dt"], limit.actuator_speed(model.robot, model.dynamics.v)
+        ),
         acceleration=limit.acceleration_bounds(limits, model.dynamics.q, model.dynamics.v),
         contact=WrenchRows(
             ca.diagcat(*(part.W for part in contact)), _stack(part.ub for part in contact)

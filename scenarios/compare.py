@@ -224,7 +224,7 @@ class _Comparison:
         limits = self._robot.limits
         q = rng.uniform(np.maximum(limits.q_min, -np.pi), np.minimum(limits.q_max, np.pi))
         v = rng.normal(size=self._robot.nv) * 0.5
-        for name in ("tau_max", "tau_rate", "q_max", "v_max"):
+        for name in ("tau_max", "tau_rate", "tau_stall", "q_max", "v_max"):
             u[f"limits.{name}"][:] = UNBOUNDED
         u["limits.q_min"][:] = -UNBOUNDED
         X_WD = self._robot.pose(q, "flange") * pin.exp6(pin.Motion(rng.normal(size=6) * 0.05))

@@ -115,3 +115,26 @@ def test_the_controller_hands_the_name_on() -> None:
     robot = ROBOTS["planar_2r"]()
     with pytest.raises(InputError, match="unknown solver 'fast'"):
         Controller(robot, [given_mode(robot, SPACES["planar_2r"], 1)], solver="fast")
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_a_bound_that_is_widened_is_noticed(name: str) -> None:
+    """The answer from before is still inside and stationary, but presses on nothing."""
+    qp, _ = hand(1.0)
+    solver = make_solver(name)
+    solver.solve(qp)
+    found = solver.solve(qp._replace(ub=np.array([1.8, 4.0, UNBOUNDED])))
+    assert found.x == pytest.approx([1.8, 0.2], abs=FAST)
+    assert found.z == pytest.approx([0.4, 0.0, 0.0], abs=FAST)
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_bounds_that_meet_are_an_equality(name: str) -> None:
+    """x = 1.8 from both sides; its multiplier is that of the side on which the cost presses."""
+    for x in (1.8, 2.2):
+        qp, _ = hand(1.0)
+        met = qp._replace(lb=np.array([x, -4.0, -UNBOUNDED]), ub=np.array([x, 4.0, UNBOUNDED]))
+        found = make_solver(name).solve(met)
+        assert found.feasible
+        assert found.x == pytest.approx([x, 2 - x], abs=FAST)
+        assert found.z == pytest.approx([2 * (2 - x), 0.0, 0.0], abs=FAST)
