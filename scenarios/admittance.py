@@ -119,15 +119,23 @@ class Admittance:
 
     def prepare(self, options: Options) -> Experiment:
         """Return the experiment, ready to run."""
-        robot, X_WD = arm_at_home(self.robot)
-        plan = self.plan
+        arm, X_WD = arm_at_home(self.robot)
+        joints, plan = options.joints(arm, DT), self.plan
+        robot = joints.robot
         tasks = (Weighted(self.task()), Weighted(PostureTask(q_ref=robot.home)))
         controller = options.controller(robot, (Mode(name=TASK, tasks=tasks),), DT)
-        hand = CompliantPlant(robot, FLANGE.frame, Hand(plan.wrench), dt=DT, substeps=1)
+        hand = CompliantPlant(
+            robot,
+            FLANGE.frame,
+            Hand(plan.wrench),
+            dt=joints.dt,
+            substeps=1,
+            armature=joints.armature,
+        )
         return Experiment(
             robot=robot,
             controller=controller,
-            plant=SensedPlant(hand, self._sensor(), options.seed),
+            plant=SensedPlant(joints.drive(hand), self._sensor(), options.seed),
             guide=AdmittanceGuide(X_WD=X_WD, plan=plan),
             start_mode=TASK,
             q_start=robot.home,

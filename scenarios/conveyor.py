@@ -119,14 +119,19 @@ class Conveyor:
         arm, X_WF = arm_at_home(self.robot)
         job = self.job(X_WF)
         board = Moving(whole=FaceOnPlane(space=FLANGE, R_WE=X_WF.rotation, name=BOARD))
+        joints = options.joints(arm, DT)
         plant = RigidPlant(
-            arm, board, environment=lambda time: job.ride.shift(time).arrays(), dt=DT
+            joints.robot,
+            board,
+            environment=lambda time: job.ride.shift(time).arrays(),
+            dt=joints.dt,
+            armature=joints.armature,
         )
         angles = np.linspace(0.0, 2 * np.pi, 200)
         return Experiment(
-            robot=arm,
-            controller=guided_controller(arm, board, options),
-            plant=plant,
+            robot=joints.robot,
+            controller=guided_controller(joints.robot, board, options),
+            plant=joints.drive(plant),
             guide=job,
             start_mode=MODE,
             q_start=arm.home,

@@ -85,6 +85,8 @@ class Edge:
     def prepare(self, options: Options) -> Experiment:
         """Return the experiment, ready to run."""
         world = build_world(self.robot, clearance=CLEARANCE, pad=Pad(friction=self.friction), dt=DT)
+        joints = options.joints(world.robot, DT)
+        robot = joints.robot
         plan = TippingPlan(
             X_WE=world.X_WE,
             force=self.force,
@@ -92,12 +94,14 @@ class Edge:
             rate=np.radians(self.rate),
         )
         return Experiment(
-            robot=world.robot,
-            controller=options.controller(world.robot, modes(world), DT),
-            plant=MujocoPlant(world, frame=EDGE),
-            guide=TippingGuide(plan, world.robot),
+            robot=robot,
+            controller=options.controller(robot, modes(world), DT),
+            plant=joints.drive(
+                MujocoPlant(world, frame=EDGE, dt=joints.dt, armature=joints.armature)
+            ),
+            guide=TippingGuide(plan, robot),
             start_mode=FREE,
-            q_start=world.robot.home,
+            q_start=robot.home,
             horizon=sum(step.duration for step in plan.steps) + 1.0,
             geometry={"X_WE": world.X_WE.homogeneous},
         )

@@ -17,9 +17,10 @@ from qpctrl.errors import InputError
 from qpctrl.mode import Mode
 from qpctrl.objective import Weighted
 from qpctrl.space import TaskSpace
+from scenarios.joint_level import JointLevel
 from scenarios.metric import wiping_metrics
 from scenarios.panel import Panel, board_panels
-from scenarios.plant import Plant
+from scenarios.plant import SteppedPlant
 from scenarios.plant_mujoco import MujocoPlant
 from scenarios.plant_rigid import RigidPlant
 from scenarios.report_energy import energy_panel
@@ -86,7 +87,8 @@ class Eraser:
         world = build_world(
             self.robot, tool=self.tool, home=self.home, pad=Pad(friction=self.friction), dt=DT
         )
-        robot, rigid = world.robot, self.plant == "rigid"
+        joints = options.joints(world.robot, DT)
+        robot, rigid = joints.robot, self.plant == "rigid"
         plan = WipingPlan(
             X_WE=world.X_WE,
             X_WT_home=robot.pose(robot.home, TOOL),
@@ -100,7 +102,7 @@ class Eraser:
         return Experiment(
             robot=robot,
             controller=options.controller(robot, self.modes(world), DT),
-            plant=self._plant(world, options.seed),
+            plant=joints.drive(self._plant(world, joints, options.seed)),
             guide=WipingGuide(plan, lambda q: robot.pose(q, TOOL)),
             start_mode="contact" if rigid else "free",
             q_start=robot.home,
@@ -148,8 +150,9 @@ class Eraser:
         board = board_panels(outcome.summary, table, outcome.experiment.geometry)
         return (*board, energy_panel(table))
 
-    def _plant(self, world: World, seed: int) -> Plant:
+    def _plant(self, world: World, joints: JointLevel, seed: int) -> SteppedPlant:
+        dt, armature = joints.dt, joints.armature
         if self.plant == "rigid":
             board = FaceOnPlane(space=SPACE, R_WE=world.X_WE.rotation, name="board")
-            return RigidPlant(world.robot, board, dt=DT)
-        return MujocoPlant(world, force_noise=self.force_noise, seed=seed)
+            return RigidPlant(joints.robot, board, dt=dt, armature=armature)
+        return MujocoPlant(world, force_noise=self.force_noise, seed=seed, dt=dt, armature=armature)

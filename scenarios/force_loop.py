@@ -85,17 +85,19 @@ class ForceLoop:
 
     def prepare(self, options: Options) -> Experiment:
         """Return the experiment, ready to run."""
-        robot = one_mass()
+        joints = options.joints(one_mass(), DT)
+        robot = joints.robot
         force = ForceTask(space=SPACE, K_fi=self.k_fi, integral_max=1e9, ramp=1e9)
         tasks = (Weighted(MotionTask(space=SPACE)), Weighted(force))
         controller = options.controller(
             robot, (Mode(name=MODE, tasks=tasks, constraints=(WALL,)),), DT
         )
         sensor = ForceSensor(delay=self.delay - 1)
+        plant = joints.drive(RigidPlant(robot, WALL, dt=joints.dt, armature=joints.armature))
         return Experiment(
             robot=robot,
             controller=controller,
-            plant=SensedPlant(RigidPlant(robot, WALL, dt=DT), sensor, options.seed),
+            plant=SensedPlant(plant, sensor, options.seed),
             guide=ForceLoopGuide(force=self.force, duration=self.duration),
             start_mode=MODE,
             q_start=robot.home,

@@ -18,7 +18,7 @@ import numpy as np
 import pinocchio as pin
 import polars as pl
 
-from qpctrl.arrays import Vector, positive
+from qpctrl.arrays import positive
 from qpctrl.errors import InputError
 from qpctrl.robot import Robot
 from scenarios.eraser import DT, Eraser
@@ -32,7 +32,7 @@ from scenarios.metric import (
     whole_run_metrics,
 )
 from scenarios.panel import Panel, board_panels
-from scenarios.plant import PlantState
+from scenarios.plant_falling_board import FallingBoard
 from scenarios.plant_mujoco import MujocoPlant
 from scenarios.report_energy import energy_panel
 from scenarios.report_trace import Curve, curve_figure
@@ -49,37 +49,6 @@ from scenarios.world import TOOL, Pad, World, build_world
 
 REGAIN_MARGIN = 0.1  # s to notice the loss, reach the speed of the search, and feel the board
 NEAR = (0.05, 0.3)  # s before loss and after regain that the picture of them shows
-
-
-@dataclass(kw_only=True, eq=False)
-class FallingBoard:
-    """A plant whose board falls away at once, some time after the first touch."""
-
-    plant: MujocoPlant
-    way_W: Vector
-    """How far it falls (3) [m], in the world."""
-    after: float
-    """Time from the first touch to the fall [s]."""
-    falls_at: float = np.inf
-    """Time of the fall [s]."""
-    fallen: bool = False
-
-    def reset(self, q: Vector) -> PlantState:
-        """Return the state at rest in ``q`` (nq), with the board where it was built."""
-        if self.fallen:
-            self.plant.move_board(-self.way_W)
-        self.falls_at, self.fallen = np.inf, False
-        return self.plant.reset(q)
-
-    def step(self, tau: Vector) -> PlantState:
-        """Return the state after ``tau`` (nv) [Nm] has acted for one period."""
-        state = self.plant.step(tau)
-        if state.touching and self.falls_at == np.inf:
-            self.falls_at = state.time + self.after
-        if state.time >= self.falls_at and not self.fallen:
-            self.plant.move_board(self.way_W)
-            self.fallen = True
-        return state
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -177,12 +146,21 @@ class Gap:
         """
         pad = Pad(friction=self.friction)
         world = build_world(self.robot, tool=self.tool, home=self.home, pad=pad, dt=DT)
-        robot, plan = world.robot, self._plan(world)
+        joints = options.joints(world.robot, DT)
+        robot, plan = joints.robot, self._plan(world, joints.robot)
+        board = MujocoPlant(
+            world,
+            force_noise=self.force_noise,
+            seed=options.seed,
+            dt=joints.dt,
+            armature=joints.armature,
+        )
         return Experiment(
             robot=robot,
             controller=options.controller(robot, self._wiping().modes(world), DT),
             plant=FallingBoard(
-                plant=MujocoPlant(world, force_noise=self.force_noise, seed=options.seed),
+                plant=joints.drive(board),
+                board=board,
                 way_W=self.depth * world.X_WE.rotation[:, 2],
                 after=self.fall_after,
             ),
@@ -193,17 +171,17 @@ class Gap:
             geometry={"X_WE": world.X_WE.homogeneous, "loops": plan.loops.p},
         )
 
-    def _plan(self, world: World) -> WipingPlan:
+    def _plan(self, world: World, robot: Robot) -> WipingPlan:
         given = self.loss_time
         return WipingPlan(
             X_WE=world.X_WE,
-            X_WT_home=world.robot.pose(world.robot.home, TOOL),
+            X_WT_home=robot.pose(robot.home, TOOL),
             force=self.force,
             speed=self.speed,
             duration=self.duration,
             dt=DT,
             damping=self.damping,
-            loss_time=longest_loss(world.robot, self) if given is None else given,
+            loss_time=longest_loss(robot, self) if given is None else given,
             search_speed=self.set_speed,
         )
 

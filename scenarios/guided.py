@@ -209,10 +209,12 @@ def guided_experiment(
     robot: Robot, constraint: Constraint, guidance: Guidance, options: Options
 ) -> Experiment:
     """Return the experiment of a tool on ``constraint``, which the controller knows exactly."""
+    joints = options.joints(robot, DT)
+    plant = RigidPlant(joints.robot, constraint, dt=joints.dt, armature=joints.armature)
     return Experiment(
-        robot=robot,
-        controller=guided_controller(robot, constraint, options),
-        plant=RigidPlant(robot, constraint, dt=DT),
+        robot=joints.robot,
+        controller=guided_controller(joints.robot, constraint, options),
+        plant=joints.drive(plant),
         guide=GuidedJob(guidance),
         start_mode=MODE,
         q_start=robot.home,

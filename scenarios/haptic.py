@@ -130,7 +130,8 @@ class Haptic:
 
     def prepare(self, options: Options) -> Experiment:
         """Return the experiment, ready to run."""
-        robot = slider(self.mass)
+        joints = options.joints(slider(self.mass), DT)
+        robot = joints.robot
         task = ImpedanceTask(
             space=SPACE, K_v=self.stiffness, B_v=self.damping, M_v=self.virtual_mass, cutoff=CUTOFF
         )
@@ -140,7 +141,16 @@ class Haptic:
         return Experiment(
             robot=robot,
             controller=controller,
-            plant=CompliantPlant(robot, SPACE.frame, Hand(self.push()), dt=DT, substeps=1),
+            plant=joints.drive(
+                CompliantPlant(
+                    robot,
+                    SPACE.frame,
+                    Hand(self.push()),
+                    dt=joints.dt,
+                    substeps=1,
+                    armature=joints.armature,
+                )
+            ),
             guide=HapticGuide(),
             start_mode="impedance",
             q_start=robot.home,

@@ -9,6 +9,7 @@ import polars as pl
 from qpctrl.arrays import Array
 from scenarios import report_figure as draw
 from scenarios.report_style import Figure, column
+from scenarios.report_torque import torque_figure, torque_words
 from scenarios.report_trace import Curve, curve_figure, plane_figure, wrench_figure
 
 
@@ -98,7 +99,7 @@ def environment_panels(
 def common_panels(table: pl.DataFrame) -> tuple[Panel, ...]:
     """Return what every report ends with: torque, equality of QP and law, timing."""
     return (
-        Panel("torque", "Joint torque", draw.torque_words(table), draw.torque_figure(table)),
+        Panel("torque", "Joint torque", torque_words(table), torque_figure(table)),
         Panel(
             "equality", "QP and closed form", draw.equal_words(table), draw.equality_figure(table)
         ),

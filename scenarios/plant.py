@@ -5,6 +5,21 @@ from typing import NamedTuple, Protocol
 from qpctrl.arrays import Vector, Wrench
 
 
+class JointReading(NamedTuple):
+    """What the drives of the joints say of the last period."""
+
+    tau_delivered: Vector
+    """Torque at the joint (nu) [Nm or N], its mean over the period."""
+    tau_meas: Vector
+    """Torque that the joint's own sensor reads (nu) [Nm or N]."""
+    current: Vector
+    """Current of the motor (nu) [A]."""
+    voltage: Vector
+    """Voltage at the motor (nu) [V]."""
+    limited: bool
+    """Whether a motor met its limit of current or voltage in the period."""
+
+
 class PlantState(NamedTuple):
     """What the sensors of a plant say after a period."""
 
@@ -20,6 +35,9 @@ class PlantState(NamedTuple):
     """The same without the sensor's errors."""
     touching: bool
     """Whether tool and environment touch, as the plant knows it."""
+    joints: JointReading | None = None
+    """What the drives say; none where joints deliver just what is asked. A plant with drives
+    gives a reading with every state, that of `Plant.reset` included."""
 
 
 class Plant(Protocol):
@@ -30,3 +48,20 @@ class Plant(Protocol):
 
     def step(self, tau: Vector) -> PlantState:
         """Return the state after ``tau`` (nv) [Nm] has acted for one period."""
+
+
+class SteppedPlant(Plant, Protocol):
+    """A plant that can run faster than its sensors are read; ``step`` is ``advance`` and ``read``.
+
+    What drives the joints may then have a shorter period than the controller.
+    """
+
+    def advance(self, tau: Vector) -> tuple[Vector, Vector]:
+        """Let ``tau`` (nv) [Nm] act for one period of the plant, and read no sensor.
+
+        Returns:
+            q (nq) [rad or m] and v (nv) [rad/s or m/s]; the next call may overwrite them.
+        """
+
+    def read(self) -> PlantState:
+        """Return what the sensors say; the wrench is that of the start of the last period."""

@@ -14,7 +14,7 @@ from qpctrl.arrays import Twist, Vector, Wrench, finite_array, non_negative, pos
 from qpctrl.errors import InputError
 from qpctrl.robot import Robot
 from scenarios.plant import PlantState
-from scenarios.runge_kutta import runge_kutta
+from scenarios.runge_kutta import MIDPOINT, choose_scheme
 
 
 class Environment(Protocol):
@@ -36,7 +36,7 @@ class Environment(Protocol):
 class CompliantPlant:
     """A robot whose tool meets a compliant environment.
 
-    Classical Runge–Kutta with held torque.
+    Classical Runge–Kutta with held torque, or the midpoint rule for a period of at most 0.2 ms.
 
     Attributes:
         energy: energy given to the environment since the start [J], ∫ Fᵀ V dt, integrated with
@@ -51,8 +51,9 @@ class CompliantPlant:
         *,
         payload: float = 0.0,
         joint_damping: float = 0.0,
+        armature: Vector | None = None,
         dt: float = 1e-3,
-        substeps: int = 2,
+        substeps: int | None = None,
     ) -> None:
         """Bring ``frame`` and the environment together.
 
@@ -62,8 +63,10 @@ class CompliantPlant:
             environment: what answers it.
             payload: point mass [kg] at the frame's origin that the robot's model lacks.
             joint_damping: viscous friction of every joint [Nm s/rad or N s/m] that it lacks too.
-            dt: control period [s].
-            substeps: integration steps in a period.
+            armature: the true inertia of the rotors at their joints (nv) [kg m² or kg]; default:
+                the robot's. Zero where the motor is simulated apart, behind an elastic gear.
+            dt: period [s].
+            substeps: integration steps in a period; default: 2, but 1 with the midpoint rule.
 
         Raises:
             InputError: no such frame, or a number that cannot be used.
@@ -71,17 +74,21 @@ class CompliantPlant:
         self._frame, self._environment = robot.frame_id(frame), environment
         self._joint_damping = float(non_negative(joint_damping, (), "joint_damping"))
         mass = float(non_negative(payload, (), "payload"))
-        if substeps < 1:
+        self._dt = float(positive(dt, (), "dt"))
+        self._scheme = choose_scheme(self._dt)
+        self._substeps = (1 if self._scheme is MIDPOINT else 2) if substeps is None else substeps
+        if self._substeps < 1:
             raise InputError(f"substeps: got {substeps}, need at least 1")
-        self._dt, self._substeps = float(positive(dt, (), "dt")), substeps
         self._model = robot.model.copy()
+        if armature is not None:
+            self._model.armature = non_negative(armature, (robot.nv,), "armature")
         tied = self._model.frames[self._frame]
         if mass > 0:
             load = pin.Inertia(mass, np.zeros(3), np.zeros((3, 3)))
             self._model.appendBodyToJoint(tied.parentJoint, load, tied.placement)
         self._data = self._model.createData()
         self._time, self._q, self._v = 0.0, np.zeros(robot.nv), np.zeros(robot.nv)
-        self.energy = 0.0
+        self._wrench, self.energy = np.zeros(6), 0.0
 
     def reset(self, q: Vector) -> PlantState:
         """Return the state at rest in ``q`` (nq); the environment starts there."""
@@ -90,13 +97,19 @@ class CompliantPlant:
         pin.framesForwardKinematics(self._model, self._data, self._q)
         X_WF = self._data.oMf[self._frame].copy()
         self._environment.start(X_WF)
-        return self._state(self._environment.wrench(0.0, X_WF, np.zeros(6)))
+        self._wrench = self._environment.wrench(0.0, X_WF, np.zeros(6))
+        return self.read()
 
     def step(self, tau: Vector) -> PlantState:
         """Return the state after ``tau`` (nv) [Nm] has acted for one period.
 
         The wrench is that of the start of the period, where the torque was computed.
         """
+        self.advance(tau)
+        return self.read()
+
+    def advance(self, tau: Vector) -> tuple[Vector, Vector]:
+        """Return q (nq) and v (nv) after ``tau`` (nv) [Nm] has acted for one period."""
         h, wrenches, powers = self._dt / self._substeps, [], []
 
         def accelerate(time: float, q: Vector, v: Vector) -> Vector:
@@ -107,11 +120,17 @@ class CompliantPlant:
 
         for i in range(self._substeps):
             t = self._time + i * h
-            self._q, self._v = runge_kutta(accelerate, t, self._q, self._v, h)
-            p1, p2, p3, p4 = powers[-4:]
-            self.energy += h / 6 * (p1 + 2 * p2 + 2 * p3 + p4)
+            self._q, self._v = self._scheme.step(accelerate, t, self._q, self._v, h)
+            self.energy += self._scheme.integral(powers, h)
+            powers.clear()
         self._time += self._dt
-        return self._state(wrenches[0])
+        self._wrench = wrenches[0]
+        return self._q, self._v
+
+    def read(self) -> PlantState:
+        """Return the state; the wrench is that of the start of the last period."""
+        q, v, wrench = self._q.copy(), self._v.copy(), self._wrench
+        return PlantState(self._time, q, v, wrench, wrench, touching=bool(wrench.any()))
 
     def _rates(
         self, time: float, q: Vector, v: Vector, tau: Vector
@@ -125,7 +144,3 @@ class CompliantPlant:
         wrench = self._environment.wrench(time, data.oMf[self._frame], V)
         a = pin.aba(model, data, q, v, tau - self._joint_damping * v - J.T @ wrench)
         return a.copy(), float(wrench @ V), wrench
-
-    def _state(self, wrench: Wrench) -> PlantState:
-        q, v = self._q.copy(), self._v.copy()
-        return PlantState(self._time, q, v, wrench, wrench, touching=bool(wrench.any()))

@@ -4,24 +4,26 @@ Dynamics by pinocchio, independent of the controller's expressions; the constrai
 one, which need not be what the controller believes.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 
 import numpy as np
 import pinocchio as pin
 
-from qpctrl.arrays import Array, Matrix, Vector, Wrench
+from qpctrl.arrays import Array, Vector, Wrench, non_negative, positive
 from qpctrl.constraint import Constraint, row_function
 from qpctrl.evaluator import Evaluator
 from qpctrl.robot import Robot
 from scenarios.plant import PlantState
-from scenarios.runge_kutta import runge_kutta
+from scenarios.runge_kutta import choose_scheme
+
+LOCAL = pin.ReferenceFrame.LOCAL
 
 
 class RigidPlant:
     """A robot whose tool cannot leave its constraint; the wrench is exact at each state.
 
-    Classical Runge–Kutta with held torque; after each period the velocity is projected onto
-    the constraint in the metric M.
+    Classical Runge–Kutta with held torque, or the midpoint rule for a period of at most 0.2 ms;
+    after each period the velocity is projected onto the constraint in the metric M.
     """
 
     def __init__(
@@ -30,92 +32,130 @@ class RigidPlant:
         constraint: Constraint,
         *,
         environment: Callable[[float], Mapping[str, Array]] | None = None,
+        armature: Vector | None = None,
         dt: float = 1e-3,
     ) -> None:
         """Prepare the plant.
 
         Args:
-            robot: the true robot.
+            robot: the robot as the controller believes it to be.
             constraint: the true constraint.
             environment: inputs of the constraint by name, as a function of time [s]; those that
                 it leaves out keep their defaults. It starts at rest, since the robot does.
+            armature: the true inertia of the rotors at their joints (nv) [kg m² or kg]; default:
+                the robot's. Zero where the motor is simulated apart, behind an elastic gear.
             dt: period [s].
+
+        Raises:
+            InputError: no such frame, or a number that cannot be used.
         """
-        self._model, self._data = robot.model, robot.model.createData()
-        self._frame, self._index = robot.frame_id(constraint.space.frame), constraint.space.index
+        self._model = robot.model.copy()
+        if armature is not None:
+            self._model.armature = non_negative(armature, (robot.nv,), "armature")
+        self._data = self._model.createData()
+        self._frame = robot.frame_id(constraint.space.frame)
+        self._axes = _as_slice(constraint.space.index)
         self._rows = Evaluator(row_function(constraint))
         for name, value in constraint.inputs().items():
             self._rows.inputs[name][...] = value
         self._environment = environment
-        self._dt = dt
-        self._time = 0.0
-        self._q, self._v = np.zeros(robot.nv), np.zeros(robot.nv)
+        self._dt = float(positive(dt, (), "dt"))
+        self._scheme = choose_scheme(self._dt)
+        unknowns = robot.nv + len(self._rows.outputs["A"])
+        self._kkt, self._rhs = np.zeros((unknowns, unknowns)), np.zeros(unknowns)
+        self._no_acceleration = np.zeros(robot.nv)
+        self.reset(np.zeros(robot.nv))
 
     def reset(self, q: Vector) -> PlantState:
         """Return the state at rest in ``q`` (nq), with no force on the environment."""
         self._time, self._q, self._v = 0.0, np.array(q), np.zeros_like(q)
-        self._move_environment(self._time)
-        return self._state(np.zeros(6))
+        self._wrench = np.zeros(6)
+        self._moved_to, self._placed_at = np.nan, np.empty(0)
+        return self.read()
 
     def step(self, tau: Vector) -> PlantState:
         """Return the state after ``tau`` (nv) [Nm] has acted for one period.
 
         The wrench is that of the start of the period, where the torque was computed.
         """
+        self.advance(tau)
+        return self.read()
+
+    def advance(self, tau: Vector) -> tuple[Vector, Vector]:
+        """Return q (nq) and v (nv) after ``tau`` (nv) [Nm] has acted for one period."""
         wrenches: list[Wrench] = []
 
         def accelerate(time: float, q: Vector, v: Vector) -> Vector:
-            self._move_environment(time)
-            a, wrench = self.accelerate(q, v, tau)
-            wrenches.append(wrench)
+            self._place(time, q)
+            a, lam = self._accelerate(q, v, tau)
+            if not wrenches:
+                wrenches.append(self._wrench_of(lam))
             return a
 
-        self._q, v = runge_kutta(accelerate, self._time, self._q, self._v, self._dt)
-        self._v = self._project(self._q, v)
+        self._q, v = self._scheme.step(accelerate, self._time, self._q, self._v, self._dt)
         self._time += self._dt
-        return self._state(wrenches[0])
+        self._place(self._time, self._q)
+        self._v, self._wrench = self._project(v), wrenches[0]
+        return self._q, self._v
 
-    def _move_environment(self, time: float) -> None:
-        if self._environment is not None:
+    def read(self) -> PlantState:
+        """Return the state; the wrench is that of the start of the last period."""
+        q, v, wrench = self._q.copy(), self._v.copy(), self._wrench
+        return PlantState(self._time, q, v, wrench, wrench, touching=True)
+
+    def _place(self, time: float, q: Vector) -> None:
+        """Put the environment where it is at ``time``, and the robot at ``q``; unless they are."""
+        if self._environment is not None and time != self._moved_to:
             for name, value in self._environment(time).items():
                 self._rows.inputs[name][...] = value
+            self._moved_to = time
+        if q is not self._placed_at:
+            model, data, frame = self._model, self._data, self._frame
+            pin.forwardKinematics(model, data, q)
+            X_WF = pin.updateFramePlacement(model, data, frame)
+            pose = self._rows.inputs
+            pose["R_WF"][...], pose["p_WF"][:] = X_WF.rotation, X_WF.translation
+            J = pin.computeFrameJacobian(model, data, q, frame, LOCAL)
+            self._J = J.reshape(6, -1)  # pinocchio returns a vector for a robot of one joint
+            self._M = pin.crba(model, data, q)
+            self._placed_at = q
 
-    def accelerate(self, q: Vector, v: Vector, tau: Vector) -> tuple[Vector, Vector]:
-        """Return acceleration (nv) and wrench on the environment (6) [N, Nm] under ``tau``.
-
-        The environment is where it was last put.
-        """
-        M, h, J, drift, A, A_dot_V, _, v_c_dot = self._terms(q, v)
-        AJ = A @ J
-        k = len(A)
-        kkt = np.block([[M, AJ.T], [AJ, np.zeros((k, k))]])
-        rhs = np.concatenate([tau - h, v_c_dot - A_dot_V - A @ drift])
+    def _accelerate(self, q: Vector, v: Vector, tau: Vector) -> tuple[Vector, Vector]:
+        """Return a (nv) and λ (k) under ``tau`` (nv) from [M (A J)ᵀ; A J 0] [a; λ] = rhs."""
+        # below, dot: for matrices as small as these it takes less than half the time of @
+        model, data, axes = self._model, self._data, self._axes
+        h = pin.nonLinearEffects(model, data, q, v)
+        pin.forwardKinematics(model, data, q, v, self._no_acceleration)
+        drift = pin.getFrameAcceleration(model, data, self._frame, LOCAL).vector
+        A, A_dot_V, _, v_c_dot = self._rows_with(v)
+        AJ, n = A.dot(self._J[axes]), len(v)
+        kkt, rhs = self._kkt, self._rhs
+        kkt[:n, :n], kkt[:n, n:], kkt[n:, :n] = self._M, AJ.T, AJ
+        rhs[:n], rhs[n:] = tau - h, v_c_dot - A_dot_V - A.dot(drift[axes])
         found = np.linalg.solve(kkt, rhs)
+        return found[:n], found[n:]
+
+    def _project(self, v: Vector) -> Vector:
+        """Return the velocity (nv) nearest to ``v`` in the metric M with A J v = v_c."""
+        A, _, v_c, _ = self._rows_with(v)
+        AJ = A.dot(self._J[self._axes])
+        M_inv_rows = np.linalg.solve(self._M, AJ.T)
+        return v - M_inv_rows.dot(np.linalg.solve(AJ.dot(M_inv_rows), AJ.dot(v) - v_c))
+
+    def _rows_with(self, v: Vector) -> Collection[Array]:
+        """Return A, Ȧ V, v_c, v̇_c where the robot is, moving with ``v`` (nv)."""
+        self._rows.inputs["V"][:] = self._J.dot(v)
+        self._rows()
+        return self._rows.outputs.values()
+
+    def _wrench_of(self, lam: Vector) -> Wrench:
+        """Return Aᵀ λ along all six axes."""
         wrench = np.zeros(6)
-        wrench[self._index] = A.T @ found[len(M) :]
-        return found[: len(M)], wrench
+        wrench[self._axes] = self._rows.outputs["A"].T.dot(lam)
+        return wrench
 
-    def _project(self, q: Vector, v: Vector) -> Vector:
-        M, _, J, _, A, _, v_c, _ = self._terms(q, v)
-        AJ = A @ J
-        M_inv_rows = np.linalg.solve(M, AJ.T)
-        return v - M_inv_rows @ np.linalg.solve(AJ @ M_inv_rows, AJ @ v - v_c)
 
-    def _terms(self, q: Vector, v: Vector) -> tuple[Matrix, ...]:
-        model, data, local = self._model, self._data, pin.ReferenceFrame.LOCAL
-        upper = np.triu(pin.crba(model, data, q))
-        M = upper + np.triu(upper, 1).T
-        h = pin.nonLinearEffects(model, data, q, v).copy()
-        J = pin.computeFrameJacobian(model, data, q, self._frame, local).reshape(6, -1)
-        pin.forwardKinematics(model, data, q, v, np.zeros_like(v))
-        drift = pin.getFrameAcceleration(model, data, self._frame, local).vector
-        pin.updateFramePlacement(model, data, self._frame)
-        X_WF = data.oMf[self._frame]
-        rows = self._rows
-        rows.inputs["R_WF"][...], rows.inputs["p_WF"][:] = X_WF.rotation, X_WF.translation
-        rows.inputs["V"][:] = J @ v
-        rows()
-        return M, h, J[self._index], drift[self._index], *rows.outputs.values()
-
-    def _state(self, wrench: Vector) -> PlantState:
-        return PlantState(self._time, self._q.copy(), self._v.copy(), wrench, wrench, touching=True)
+def _as_slice(index: list[int]) -> slice | list[int]:
+    """Return neighbouring axes as a slice, which costs less than a list."""
+    span = slice(index[0], index[-1] + 1)
+    return span if list(range(6))[span] == list(index) else index

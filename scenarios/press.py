@@ -131,19 +131,27 @@ class Press:
 
     def prepare(self, options: Options) -> Experiment:
         """Return the experiment, ready to run."""
-        robot = load_robot(self.robot, self.home)
+        joints = options.joints(load_robot(self.robot, self.home), DT)
+        robot = joints.robot
         _check_reach(robot, self.tool)
         springs = Springs(
             np.repeat([self.stiffness, self.stiffness_rot], 3),
             np.repeat([self.spring_damping, self.spring_damping_rot], 3),
         )
-        plant = CompliantPlant(robot, self.tool, springs, payload=self.payload_error, dt=DT)
+        plant = CompliantPlant(
+            robot,
+            self.tool,
+            springs,
+            payload=self.payload_error,
+            dt=joints.dt,
+            armature=joints.armature,
+        )
         controller = options.controller(robot, (self.mode(robot),), DT)
         X_WD = robot.pose(robot.home, self.tool)
         return Experiment(
             robot=robot,
             controller=controller,
-            plant=plant,
+            plant=joints.drive(plant),
             guide=PressGuide(X_WD=X_WD, force=np.array(self.force), duration=self.duration),
             start_mode="tied",
             q_start=robot.home,

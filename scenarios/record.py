@@ -8,10 +8,11 @@ import polars as pl
 
 from qpctrl.arrays import Vector
 from qpctrl.controller import Controller
+from qpctrl.errors import InputError
 from qpctrl.report import Command, TickReport
 from qpctrl.status import Status
 from qpctrl.tick import Tick as ControlTick
-from scenarios.plant import PlantState
+from scenarios.plant import JointReading, PlantState
 from scenarios.scenario import Directive
 
 PIECE = 4096  # ticks in one piece of the table
@@ -21,6 +22,7 @@ SCALARS = (
 )
 WORDS = ("phase", "mode", "contact", "status", "active", "explanation")
 MARKS = ("fallback", "touching", "saturated")
+ELECTRIC, LIMITED = ("current", "voltage"), "motor_limited"  # of joints with drives
 WRENCH = ("fx", "fy", "fz", "mx", "my", "mz")
 
 
@@ -33,40 +35,53 @@ class Tick(NamedTuple):
     report: TickReport
     tick_us: float
     """Time that the controller took [µs]."""
+    joints: JointReading | None = None
+    """What the drives did in the period that follows; none where joints are ideal."""
 
 
 class Record:
     """Collects ticks, one packed row each, and turns them into table pieces now and then."""
 
-    def __init__(self, controller: Controller) -> None:
+    def __init__(self, controller: Controller, *, driven: bool = False) -> None:
+        """Prepare the columns.
+
+        Args:
+            controller: its robot names the joints, its modes the multipliers and signals.
+            driven: whether the joints have drives, whose readings come with every tick.
+        """
         robot = controller.robot
         joints, actuators = robot.joint_names, robot.actuator_names
         vectors = {
             **dict.fromkeys(("q", "v"), joints),
             **dict.fromkeys(("tau", "tau_qp", "tau_hybrid", "tau_textbook"), actuators),
             **dict.fromkeys(("tau_delivered", "tau_meas"), joints),
+            **dict.fromkeys(ELECTRIC if driven else (), actuators),
             **dict.fromkeys(("wrench_meas", "wrench"), WRENCH),
         }
         self._common = [*SCALARS, *(f"{name}.{part}" for name, v in vectors.items() for part in v)]
         self._own = {mode: _own_columns(e.tick) for mode, e in controller.engines.items()}
-        self._B = robot.B
+        self._mark_names = (*MARKS, LIMITED) if driven else MARKS
+        self._B, self._driven = robot.B, driven
         self._pieces: list[pl.DataFrame] = []
         self._start_piece()
 
     def add(self, tick: Tick) -> None:
-        """Append one tick."""
+        """Append one tick.
+
+        Raises:
+            InputError: a reading of drives where none is expected, or none where one is.
+        """
         if len(self._rows) == PIECE:
             self._finish_piece()
-        command, report, state = tick.command, tick.report, tick.state
+        command, report, state, joints = tick.command, tick.report, tick.state, tick.joints
         scalars = (
             *(state.time, report.law_gap, report.textbook_gap, report.unexplained_gap),
             *(report.curvature, report.damping, report.kkt_residual, tick.tick_us),
         )
-        delivered = self._B @ command.tau  # ideal joints deliver and measure what is commanded
         vectors = (
             *(scalars, state.q, state.v, command.tau, report.tau_qp, report.tau_hybrid),
-            *(report.tau_textbook, delivered, delivered, state.wrench_meas, state.wrench),
-            *(report.lam, report.signals),
+            *(report.tau_textbook, self._at_joints(command.tau, joints)),
+            *(state.wrench_meas, state.wrench, report.lam, report.signals),
         )
         self._rows.append(np.concatenate(vectors))
         eventful = report.saturated or report.damping > 0 or command.fallback
@@ -76,7 +91,19 @@ class Record:
             report.explain() if eventful else "",
         )
         self._words.append(words)
-        self._marks.append((command.fallback, state.touching, report.saturated))
+        marks = (command.fallback, state.touching, report.saturated)
+        self._marks.append((*marks, joints.limited) if joints else marks)
+
+    def _at_joints(self, tau: Vector, joints: JointReading | None) -> Vector:
+        """Return torque delivered and measured (nv each), and the drives' current and voltage."""
+        if (joints is not None) != self._driven:
+            found, start = ("none", "one") if joints is None else ("one", "none")
+            raise InputError(f"joint reading: got {found} in a tick, need {start} as at the start")
+        if joints is None:
+            ideal = self._B @ tau  # delivers and measures what is commanded
+            return np.concatenate((ideal, ideal))
+        torques = (self._B @ joints.tau_delivered, self._B @ joints.tau_meas)
+        return np.concatenate((*torques, joints.current, joints.voltage))
 
     def table(self) -> pl.DataFrame:
         """Return one row a tick; vector columns are named ``quantity.component``."""
@@ -99,9 +126,9 @@ class Record:
                 columns = [places[name] for name in (*self._common, *own)]
                 values[np.ix_(columns, at)] = np.array([self._rows[i] for i in at]).T
         words = {name: [row[i] for row in self._words] for i, name in enumerate(WORDS)}
-        marks = {name: [row[i] for row in self._marks] for i, name in enumerate(MARKS)}
+        marks = {name: [row[i] for row in self._marks] for i, name in enumerate(self._mark_names)}
         numbers = dict(zip(names, values, strict=True))
-        kinds = dict.fromkeys(WORDS, pl.String) | dict.fromkeys(MARKS, pl.Boolean)
+        kinds = dict.fromkeys(WORDS, pl.String) | dict.fromkeys(marks, pl.Boolean)
         table = pl.DataFrame({**words, **marks, **numbers}, schema_overrides=kinds)
         self._pieces.append(table.select("time", pl.exclude("time")))
         self._start_piece()

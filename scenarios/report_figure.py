@@ -1,18 +1,17 @@
 """The figures of the report. Each is none where the record has nothing to show."""
 
 from collections.abc import Mapping
-from html import escape
-from itertools import cycle
 from typing import Any, TypeAlias
 
 import numpy as np
 import polars as pl
 from jaxtyping import Bool
 
-from qpctrl.arrays import Array, Matrix, Vector
+from qpctrl.arrays import Array, Matrix
 from qpctrl.status import Status
 from scenarios import report_style as style
 from scenarios.report_style import Figure, column, line, trace
+from scenarios.report_torque import binding_marks
 
 Flags: TypeAlias = Bool[np.ndarray, " _"]
 
@@ -21,7 +20,6 @@ SWEEP_STEP = 0.002  # m, between two outlines of the eraser
 FLOOR = 1e-18  # drawn instead of what is smaller, on a logarithmic axis
 SLIGHT = 0.01  # N, below it a force is drawn as none
 LAW_LIMIT, KKT_LIMIT = 1e-8, 1e-9
-MAX_MARKS = 400
 
 
 def path_figure(table: pl.DataFrame, geometry: Mapping[str, Array]) -> Figure | None:
@@ -112,24 +110,6 @@ def error_figure(table: pl.DataFrame, limits: Mapping[str, float]) -> Figure | N
     return style.shade(figure, style.spans(table), pixels=420)
 
 
-def torque_figure(table: pl.DataFrame) -> Figure | None:
-    """Return the torque of each joint over time [Nm], with the ticks at which a limit binds."""
-    time, traces = column(table, "time"), []
-    names = [name.removeprefix("tau.") for name in table.columns if name.startswith("tau.")]
-    sent = {name: column(table, f"tau.{name}") for name in names}
-    for (name, tau), colour in zip(sent.items(), cycle(style.SERIES), strict=False):
-        traces.append(line(time, tau, name, colour, "Nm"))
-        delivered = column(table, f"tau_delivered.{name}")
-        if _differs(delivered, tau):
-            dashed = line(time, delivered, f"{name}, delivered", colour, "Nm", dash="4px,3px")
-            traces.append(dashed)
-    if table.is_empty() or not traces:
-        return None
-    traces.append(_binding_marks(table, sent))
-    figure = style.figure(traces, "time [s]", "torque [Nm]", height=440)
-    return style.shade(figure, style.spans(table))
-
-
 def equality_figure(table: pl.DataFrame) -> Figure | None:
     """Return how the QP relates to both laws over time, relative, on a logarithmic axis."""
     look: dict[str, tuple[str, dict[str, Any]]] = {
@@ -145,7 +125,7 @@ def equality_figure(table: pl.DataFrame) -> Figure | None:
         low = np.nan if name == "curvature" else FLOOR
         peak = np.where(peak < FLOOR, low, peak)
         traces.append(trace(t, peak, words, line=drawn, hovertemplate="%{y:.1e}"))
-    traces.append(_binding_marks(table, {"": np.maximum(column(table, "law_gap"), FLOOR)}))
+    traces.append(binding_marks(table, {"": np.maximum(column(table, "law_gap"), FLOOR)}))
     figure = style.figure(traces, "time [s]", "relative to max |τ|", height=480)
     if not figure["data"]:
         return None
@@ -183,17 +163,6 @@ def timing_figure(table: pl.DataFrame) -> Figure | None:
         note = {"text": f"{words} {x:.0f} µs", "showarrow": False, "yshift": 15 * row}
         figure["layout"]["annotations"].append(at | note)
     return figure
-
-
-def torque_words(table: pl.DataFrame) -> str:
-    """Return how often a limit binds."""
-    bound = int((table["active"] != "").sum()) if "active" in table.columns else 0
-    if not bound:
-        return "Torque sent to each joint. No limit bound on any tick."
-    return (
-        f"Torque sent to each joint. A limit bound on {bound} of {style.number(len(table))} ticks "
-        "(red marks; hover to see which)."
-    )
 
 
 def equal_words(table: pl.DataFrame) -> str:
@@ -260,23 +229,6 @@ def _swept(p_E: Matrix) -> dict[str, Any]:
     return trace(outlines[:, 1], outlines[:, 0], "wiped area", **filled)
 
 
-def _binding_marks(table: pl.DataFrame, curves: Mapping[str, Vector]) -> dict[str, Any]:
-    """Return marks where a limit binds, on the curve of the joint that the limit names."""
-    if "active" not in table.columns:
-        return trace(np.zeros(0), np.zeros(0), "limit binds")
-    active = table["active"].fill_null("").to_numpy()
-    binding = np.flatnonzero(active != "")
-    binding = binding[:: max(1, -(-len(binding) // MAX_MARKS))]
-    names = [str(active[i]) for i in binding]
-    owners = [next((c for c in curves if name.endswith(c)), next(iter(curves))) for name in names]
-    y = np.array([curves[c][i] for c, i in zip(owners, binding, strict=True)])
-    mark = {"color": style.FAIL, "size": 9, "symbol": "triangle-down"}
-    said = "%{text}<extra>limit binds</extra>"
-    texts = [escape(name) for name in names]
-    shown: dict[str, Any] = {"mode": "markers", "marker": mark, "text": texts}
-    return trace(column(table, "time")[binding], y, "limit binds", hovertemplate=said, **shown)
-
-
 def _solved(table: pl.DataFrame) -> Flags:
     """Return on which ticks the QP had a solution."""
     if "status" not in table.columns:
@@ -291,8 +243,3 @@ def _focus(table: pl.DataFrame) -> Flags:
         return np.asarray(wiping, dtype=np.bool_)
     wanted = ~np.isnan(column(table, "force.F_des.2"))
     return wanted if wanted.any() else np.ones(len(table), dtype=np.bool_)
-
-
-def _differs(delivered: Vector, sent: Vector) -> bool:
-    largest = np.nanmax(np.abs(sent), initial=1.0)
-    return bool(np.nanmax(np.abs(delivered - sent), initial=0.0) > 1e-9 * largest)

@@ -7,12 +7,14 @@ from typing import Any, Literal, NamedTuple, Protocol
 import polars as pl
 
 from qpctrl.arrays import Array
+from qpctrl.compiled import CompileMode
 from qpctrl.contact import ContactPhase
 from qpctrl.controller import Controller
 from qpctrl.errors import InputError
 from qpctrl.mode import Mode
 from qpctrl.objective import Reference
 from qpctrl.robot import Robot
+from scenarios.joint_level import Actuator, JointLevel, joint_level
 from scenarios.panel import Panel
 from scenarios.plant import Plant, PlantState
 
@@ -76,10 +78,34 @@ class Options:
     """Variables of the QP: (a, λ) or (a, τ, λ)."""
     seed: int = 0
     """Seed of every random number of the run."""
+    actuator: Actuator = "ideal"
+    """Design of the joints: what becomes of a commanded torque."""
+    drives: tuple[str, ...] = ()
+    """Joint drives, names of `qpctrl actuator` or TOML files: one for all joints or one for each;
+    default: by the joint's torque limit."""
+    inner_rate: float = 10000.0
+    """Rate of the drives' current and torque loops [Hz]."""
+    compiled: CompileMode = "auto"
+    """Whether the inner loop runs as generated C."""
 
     def __post_init__(self) -> None:
         if self.seed < 0:
             raise InputError(f"seed: got {self.seed}, need a number >= 0")
+
+    def joints(self, robot: Robot, dt: float) -> JointLevel:
+        """Return what moves the joints of ``robot`` under a controller of period ``dt`` [s].
+
+        Its ``robot`` is the one to build the controller for.
+        """
+        return joint_level(
+            robot,
+            actuator=self.actuator,
+            drives=self.drives,
+            inner_rate=self.inner_rate,
+            dt=dt,
+            seed=self.seed,
+            compile=self.compiled,
+        )
 
     def controller(self, robot: Robot, modes: Sequence[Mode], dt: float) -> Controller:
         """Return a controller of period ``dt`` [s] that is run as these options say."""

@@ -17,13 +17,16 @@ def simulate(
 ) -> pl.DataFrame:
     """Run an experiment to its end and return its record, one row a tick.
 
+    A row holds the state at the tick, its command, and what drives make of that in the period
+    until the next tick.
+
     Args:
         experiment: what to run.
         watch: called with the simulated time [s] and the phase, a few times a second.
     """
     controller, plant, guide = experiment.controller, experiment.plant, experiment.guide
-    record = Record(controller)
     state = plant.reset(experiment.q_start)
+    record = Record(controller, driven=state.joints is not None)
     memory = controller.start(experiment.start_mode, experiment.q_start)
     clock, ticks = time.perf_counter_ns, 0
     gc.collect()
@@ -38,11 +41,10 @@ def simulate(
             directive.mode, measurement, directive.references, memory
         )
         tick_us = (clock() - started) / 1e3
-        record.add(
-            Tick(directive=directive, state=state, command=command, report=report, tick_us=tick_us)
-        )
         with np.errstate(over="ignore", invalid="ignore"):  # a plant that diverges; judged later
-            state = plant.step(controller.robot.B @ command.tau)
+            after = plant.step(controller.robot.B @ command.tau)
+        record.add(Tick(directive, state, command, report, tick_us, after.joints))
+        state = after
         ticks += 1
         if watch is not None and ticks % 250 == 0:
             watch(state.time, directive.phase)

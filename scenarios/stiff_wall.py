@@ -135,7 +135,8 @@ class StiffWall:
 
     def on_wall(self, k_e: float, options: Options) -> Experiment:
         """Return the experiment on a wall of stiffness ``k_e`` [N/m]."""
-        robot = slider(self.mass)
+        joints = options.joints(slider(self.mass), DT)
+        robot = joints.robot
         task = AdmittanceTask(
             space=SPACE,
             M_v=self.virtual_mass,
@@ -145,7 +146,9 @@ class StiffWall:
         )
         controller = options.controller(robot, (Mode(name=TASK, tasks=(Weighted(task),)),), DT)
         wall = Grip(lambda t: (-OFFSET, 0.0), stiffness=k_e, damping=0.0)
-        plant = CompliantPlant(robot, SPACE.frame, wall, dt=DT)
+        plant = joints.drive(
+            CompliantPlant(robot, SPACE.frame, wall, dt=joints.dt, armature=joints.armature)
+        )
         return Experiment(
             robot=robot,
             controller=controller,

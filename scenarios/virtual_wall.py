@@ -24,7 +24,7 @@ from scenarios.encoder import EncodedPlant
 from scenarios.environment import Grip
 from scenarios.metric import column, tick_metrics, whole_run_metrics
 from scenarios.panel import Panel
-from scenarios.plant import PlantState
+from scenarios.plant import Plant, PlantState
 from scenarios.plant_compliant import CompliantPlant
 from scenarios.report_trace import Curve, curve_figure
 from scenarios.scenario import Criterion, Directive, Experiment, Options, Outcome
@@ -48,8 +48,9 @@ class EnergyMeter:
         energy: ∫ Fᵀ V dt [J], one number a period.
     """
 
-    def __init__(self, plant: CompliantPlant) -> None:
-        self._plant = plant
+    def __init__(self, plant: Plant, interface: CompliantPlant) -> None:
+        """Watch ``plant``, which is ``interface`` moved by its drives or not."""
+        self._plant, self._interface = plant, interface
         self.energy: list[float] = []
 
     def reset(self, q: Vector) -> PlantState:
@@ -60,7 +61,7 @@ class EnergyMeter:
     def step(self, tau: Vector) -> PlantState:
         """Return the state after ``tau`` (nv) [Nm] has acted for one period."""
         state = self._plant.step(tau)
-        self.energy.append(self._plant.energy)
+        self.energy.append(self._interface.energy)
         return state
 
 
@@ -126,7 +127,8 @@ class VirtualWall:
         self, friction: float, depth: float, duration: float, options: Options
     ) -> tuple[Experiment, "EnergyMeter"]:
         """Return the experiment with ``friction`` [N s/m], the hand moving about ``depth`` [m]."""
-        robot = slider(self.mass)
+        joints = options.joints(slider(self.mass), DT)
+        robot = joints.robot
         task = ImpedanceTask(space=SPACE, K_v=0.0, B_v=0.0, name=TASK)
         controller = options.controller(robot, (Mode(name=TASK, tasks=(Weighted(task),)),), DT)
         omega = 2 * np.pi * FREQUENCY
@@ -137,7 +139,15 @@ class VirtualWall:
             return depth + float(swing), float(rate)
 
         grip = Grip(hand, stiffness=GRIP[0], damping=GRIP[1])
-        meter = EnergyMeter(CompliantPlant(robot, SPACE.frame, grip, joint_damping=friction, dt=DT))
+        interface = CompliantPlant(
+            robot,
+            SPACE.frame,
+            grip,
+            joint_damping=friction,
+            dt=joints.dt,
+            armature=joints.armature,
+        )
+        meter = EnergyMeter(joints.drive(interface), interface)
         experiment = Experiment(
             robot=robot,
             controller=controller,

@@ -13,9 +13,10 @@ import polars as pl
 import pytest
 
 from qpctrl import InputError
-from scenarios.gap import FallingBoard, Gap, longest_loss
+from scenarios.gap import Gap, longest_loss
 from scenarios.metric import loss_events, loss_metrics, normal_speed
 from scenarios.plant import PlantState
+from scenarios.plant_falling_board import FallingBoard
 from scenarios.run import run_scenario
 from scenarios.scenario import Directive, Options, Outcome
 from scenarios.simulation import simulate

@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from qpctrl import InputError, Status
-from scenarios import report_figure, report_style
+from scenarios import report_figure, report_style, report_torque
 from scenarios.catalogue import SCENARIOS
 from scenarios.panel import board_panels
 from scenarios.picture import png, render_scene
@@ -30,6 +30,7 @@ from scenarios.world import build_world
 TICKS = 5000
 PHASES = ("approach", "touch", "press", "wipe", "release", "lift")
 MAX_BYTES = 8_000_000
+KINDS = ("tau_delivered", "tau_meas")
 SINGLE = 1e-6
 """Relative: the page holds numbers in single precision."""
 
@@ -118,7 +119,7 @@ def all_figures(table: pl.DataFrame) -> list[report_figure.Figure | None]:
         report_figure.path_figure(table, geometry()),
         report_figure.force_figure(table, {"force_rmse_N": 0.1}),
         report_figure.error_figure(table, {"tilt_max_deg": 0.05}),
-        report_figure.torque_figure(table),
+        report_torque.torque_figure(table),
         report_figure.equality_figure(table),
         report_figure.timing_figure(table),
     ]
@@ -221,6 +222,11 @@ def test_page_is_deterministic_and_small() -> None:
     page = board_report(a_summary(), table, geometry())
     assert page == board_report(copy.deepcopy(a_summary()), table.clone(), geometry())
     assert len(page.encode()) <= MAX_BYTES
+    lags = pl.selectors.starts_with("tau.") * 0.9
+    table = table.with_columns(lags.name.replace("tau", kind) for kind in KINDS)
+    page = board_report(a_summary(), table.with_columns(motor_limited=pl.lit(True)), geometry())
+    assert page.count("joint29, ") == len(KINDS)
+    assert len(page.encode()) <= MAX_BYTES
 
 
 def test_every_figure_is_one_that_plotly_knows() -> None:
@@ -250,6 +256,8 @@ DAMAGES = {
     "chattering": lambda t: t.with_columns(
         phase=pl.when(pl.col("time") * 1000 % 2 < 1).then(pl.lit("touch")).otherwise("phase")
     ),
+    "drives": lambda t: driven(t),
+    "drives that say nothing": lambda t: t.with_columns(motor_limited=pl.lit(None, pl.Boolean)),
     "other phases": lambda t: t.with_columns(phase=pl.col("phase") + " it"),
 }
 
@@ -296,7 +304,7 @@ def test_a_peak_of_one_tick_survives() -> None:
     drawn = {
         "wrench_meas.fz": trace(report_figure.force_figure(table, {}), "normal, measured"),
         "law_gap": trace(report_figure.equality_figure(table), "QP − hybrid law"),
-        "tau.joint2": trace(report_figure.torque_figure(table), "joint2"),
+        "tau.joint2": trace(report_torque.torque_figure(table), "joint2"),
         "motion.X_e.0": trace(report_figure.error_figure(table, {}), "error along x"),
     }
     for name, value in peaks.items():
@@ -322,18 +330,58 @@ def test_marks_of_a_binding_limit_sit_on_the_joint_and_name_it() -> None:
     active = [""] * TICKS
     active[1000] = "torque rate joint2"
     table = a_table().with_columns(active=pl.Series(active))
-    marks = trace(report_figure.torque_figure(table), "limit binds")
+    marks = trace(report_torque.torque_figure(table), "limit binds")
     assert marks["x"] == pytest.approx([1.0])
     assert marks["y"] == pytest.approx([1 + np.sin(1.0)])
     assert marks["text"] == ["torque rate joint2"]
 
 
 def test_delivered_torque_is_drawn_only_where_it_differs() -> None:
-    names = [t["name"] for t in report_figure.torque_figure(a_table())["data"]]
+    names = [t["name"] for t in report_torque.torque_figure(a_table())["data"]]
     assert names == ["joint1", "joint2"]
     lagging = a_table().with_columns((pl.col("tau.joint1") * 0.99).alias("tau_delivered.joint1"))
-    names = [t["name"] for t in report_figure.torque_figure(lagging)["data"]]
+    names = [t["name"] for t in report_torque.torque_figure(lagging)["data"]]
     assert names == ["joint1", "joint1, delivered", "joint2"]
+
+
+def driven(table: pl.DataFrame) -> pl.DataFrame:
+    """Return the record as of joints with drives: the second lags and is measured wrongly."""
+    tau1, tau2 = pl.col("tau.joint1"), pl.col("tau.joint2")
+    return table.with_columns(
+        tau1.alias("tau_delivered.joint1"),
+        tau1.alias("tau_meas.joint1"),
+        (tau2 - 0.5).alias("tau_delivered.joint2"),
+        (tau2 + 0.25).alias("tau_meas.joint2"),
+        motor_limited=pl.int_range(pl.len()).is_in([100, 101, 2500]),
+    )
+
+
+def test_commanded_delivered_and_measured_torque_are_three_curves_where_they_differ() -> None:
+    figure = report_torque.torque_figure(driven(a_table()))
+    names = [t["name"] for t in figure["data"]]
+    curves = ["joint1", "joint2", "joint2, delivered", "joint2, measured"]
+    assert names == [*curves, "motor at its limit"]
+    lines = [trace(figure, name)["line"] for name in curves[1:]]
+    assert len({one["color"] for one in lines}) == 1
+    assert len({one["dash"] for one in lines}) == 3
+    groups = [t.get("legendgroup") for t in figure["data"]]
+    assert groups == ["joint1", "joint2", "joint2", "joint2", None]
+    for name, offset in (("delivered", -0.5), ("measured", 0.25)):
+        curve = trace(figure, f"joint2, {name}")
+        assert curve["y"] == pytest.approx(1 + np.sin(curve["x"]) + offset)
+    marks = trace(figure, "motor at its limit")
+    assert marks["x"] == pytest.approx([0.1, 0.101, 2.5])
+    go.Figure(figure)
+
+
+def test_words_on_torque_say_what_drives_do_with_a_command() -> None:
+    words = report_torque.torque_words(driven(a_table()))
+    assert "differs most at joint2: by up to 0.5 Nm, RMS 0.5 Nm." in words
+    assert "No limit bound on any tick." in words
+    assert "limit of current or voltage on 3 of 5\u202f000 ticks" in words
+    calm = driven(a_table()).with_columns(motor_limited=pl.lit(False))
+    assert "No motor met its limit" in report_torque.torque_words(calm)
+    assert "motor" not in report_torque.torque_words(a_table())
 
 
 def test_words_on_equality_leave_out_ticks_at_a_limit() -> None:

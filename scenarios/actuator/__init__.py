@@ -1,0 +1,1 @@
+"""Joint drives: from the commanded torque to the torque that arrives at the joint."""
