@@ -39,6 +39,10 @@ class Springs:
         """Return the wrench of robot on springs (6) [N, Nm]."""
         return self._K * pin.log6(self._X_AW * X_WF).vector + self._D * V
 
+    def impedance(self) -> tuple[Vector, Vector]:
+        """Return K (6) [N/m, Nm/rad] and D (6) [N s/m, Nm s/rad]."""
+        return self._K, self._D
+
 
 @final
 class Hand:
@@ -54,6 +58,10 @@ class Hand:
     def wrench(self, time: float, X_WF: pin.SE3, V: Twist) -> Wrench:
         """Return the wrench of robot on hand (6) [N, Nm]."""
         return -self._push(time)
+
+    def impedance(self) -> tuple[Vector, Vector]:
+        """Return none (6) of either."""
+        return np.zeros(6), np.zeros(6)
 
 
 @final
@@ -89,3 +97,8 @@ class Grip:
         F = np.zeros(6)
         F[0] = self._K * (x - x_h) + self._D * (V[0] - x_h_dot)
         return F
+
+    def impedance(self) -> tuple[Vector, Vector]:
+        """Return K and D along x (6) [N/m, N s/m]."""
+        along = np.eye(6)[0]
+        return self._K * along, self._D * along

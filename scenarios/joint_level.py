@@ -15,6 +15,7 @@ from qpctrl.arrays import Vector
 from qpctrl.compiled import CompileMode
 from qpctrl.errors import InputError
 from qpctrl.robot import Robot
+from scenarios.actuator.ablation import Ablation, without
 from scenarios.actuator.catalogue import default_drives, load_drive
 from scenarios.actuator.drive import DESIGNS, Design, JointDrive
 from scenarios.plant import Plant, SteppedPlant
@@ -79,6 +80,7 @@ def joint_level(
     dt: float,
     seed: int,
     compile: CompileMode,
+    ablations: Sequence[Ablation] = (),
 ) -> JointLevel:
     """Return the joint level of a robot.
 
@@ -91,21 +93,24 @@ def joint_level(
         dt: period of the controller [s].
         seed: of the drives' noise.
         compile: whether the inner loop runs as generated C.
+        ablations: what is taken away from every drive.
 
     Raises:
-        InputError: unknown drives, too many or of another design, or a rate that is no multiple
-            of the controller's.
+        InputError: unknown drives, too many or of another design, a rate that is no multiple
+            of the controller's, or no drive has what shall be taken away.
     """
     if actuator == "ideal":
-        if drives:
-            raise InputError(f"drives: got {', '.join(drives)} with actuator 'ideal', need none")
+        for name, given in (("drives", drives), ("without", ablations)):
+            if given:
+                raise InputError(f"{name}: got {', '.join(given)} with actuator 'ideal', need none")
         return JointLevel(robot=robot, dt=dt)
     steps = inner_steps(inner_rate, dt)
     chosen = _on_their_joints(robot, _chosen(robot, actuator, drives))
+    chosen = _without(chosen, ablations)
     felt = np.array([drive.apparent_inertia for drive in chosen])
     rotor = np.array([drive.inertia if drive.rigid else 0.0 for drive in chosen])
     return JointLevel(
-        robot=_with_limits(with_armature(robot, robot.B @ felt), chosen),
+        robot=_with_limits(with_armature(robot, robot.B @ felt), chosen, dt),
         dt=dt / steps,
         steps=steps,
         drives=chosen,
@@ -156,6 +161,18 @@ def _chosen(robot: Robot, actuator: Design, names: Sequence[str]) -> tuple[Joint
     return found if len(found) == robot.nu else found * robot.nu
 
 
+def _without(
+    drives: tuple[JointDrive, ...], ablations: Sequence[Ablation]
+) -> tuple[JointDrive, ...]:
+    for ablation in ablations:
+        changed = tuple(without(drive, ablation) for drive in drives)
+        if changed == drives:
+            names = ", ".join(dict.fromkeys(drive.name for drive in drives))
+            raise InputError(f"without: got {ablation}, which none of the drives has: {names}")
+        drives = changed
+    return drives
+
+
 def _on_their_joints(robot: Robot, drives: Sequence[JointDrive]) -> tuple[JointDrive, ...]:
     if not np.isin(robot.B, (0.0, 1.0)).all() or (robot.B.sum(axis=0) != 1).any():
         raise InputError("drives: each actuator must move one joint, B being a choice of joints")
@@ -171,12 +188,13 @@ def _lever(robot: Robot) -> Vector:
     return np.where(np.array(slides) @ robot.B > 0, CAPSTAN, 1.0)
 
 
-def _with_limits(robot: Robot, drives: Sequence[JointDrive]) -> Robot:
+def _with_limits(robot: Robot, drives: Sequence[JointDrive], dt: float) -> Robot:
+    """Return the robot with what the drives can give a controller of period ``dt`` [s]."""
     own = robot.limits
     v_max = np.abs(robot.B.T) @ np.where(np.isfinite(own.v_max), own.v_max, 0.0)
     speeds = [min(v, drive.no_load_speed) for v, drive in zip(v_max, drives, strict=True)]
     limits = [drive.limits(v) for v, drive in zip(speeds, drives, strict=True)]
-    peak, rate, stall, droop = (np.array(values) for values in zip(*limits, strict=True))
+    peak, rate, step, stall, droop = (np.array(values) for values in zip(*limits, strict=True))
     for drive, most in zip(drives, peak, strict=True):
         if most <= 0:
             raise InputError(
@@ -188,7 +206,7 @@ def _with_limits(robot: Robot, drives: Sequence[JointDrive]) -> Robot:
         limits=replace(
             own,
             tau_max=np.minimum(own.tau_max, peak),
-            tau_rate=np.minimum(own.tau_rate, rate),
+            tau_rate=np.minimum(own.tau_rate, np.minimum(rate, step / dt)),
             tau_stall=stall,
             tau_droop=droop,
         ),

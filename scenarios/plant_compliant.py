@@ -16,6 +16,11 @@ from qpctrl.robot import Robot
 from scenarios.plant import PlantState
 from scenarios.runge_kutta import MIDPOINT, choose_scheme
 
+LOCAL = pin.ReferenceFrame.LOCAL
+
+EXPLICIT_SHARE = 0.5
+"""Share of an acceleration that a backward step leaves, below which a step must be implicit."""
+
 
 class Environment(Protocol):
     """What answers a tool with a wrench."""
@@ -32,11 +37,16 @@ class Environment(Protocol):
             V: body twist of the tool (6) [m/s, rad/s].
         """
 
+    def impedance(self) -> tuple[Vector, Vector]:
+        """Return stiffness (6) [N/m, Nm/rad] and damping (6) [N s/m, Nm s/rad], tool axes."""
+
 
 class CompliantPlant:
     """A robot whose tool meets a compliant environment.
 
     Classical Runge–Kutta with held torque, or the midpoint rule for a period of at most 0.2 ms.
+    Where the environment is too stiff for that, a linearly implicit Euler step: links without
+    their rotors are light.
 
     Attributes:
         energy: energy given to the environment since the start [J], ∫ Fᵀ V dt, integrated with
@@ -88,7 +98,7 @@ class CompliantPlant:
             self._model.appendBodyToJoint(tied.parentJoint, load, tied.placement)
         self._data = self._model.createData()
         self._time, self._q, self._v = 0.0, np.zeros(robot.nv), np.zeros(robot.nv)
-        self._wrench, self.energy = np.zeros(6), 0.0
+        self._wrench, self.energy, self._implicit = np.zeros(6), 0.0, False
 
     def reset(self, q: Vector) -> PlantState:
         """Return the state at rest in ``q`` (nq); the environment starts there."""
@@ -97,6 +107,7 @@ class CompliantPlant:
         pin.framesForwardKinematics(self._model, self._data, self._q)
         X_WF = self._data.oMf[self._frame].copy()
         self._environment.start(X_WF)
+        self._implicit = self._too_stiff()
         self._wrench = self._environment.wrench(0.0, X_WF, np.zeros(6))
         return self.read()
 
@@ -120,8 +131,13 @@ class CompliantPlant:
 
         for i in range(self._substeps):
             t = self._time + i * h
-            self._q, self._v = self._scheme.step(accelerate, t, self._q, self._v, h)
-            self.energy += self._scheme.integral(powers, h)
+            if self._implicit:
+                self._v = self._v + h * self._softened(accelerate(t, self._q, self._v), h)
+                self._q = self._q + h * self._v
+                self.energy += h * powers[0]
+            else:
+                self._q, self._v = self._scheme.step(accelerate, t, self._q, self._v, h)
+                self.energy += self._scheme.integral(powers, h)
             powers.clear()
         self._time += self._dt
         self._wrench = wrenches[0]
@@ -132,14 +148,32 @@ class CompliantPlant:
         q, v, wrench = self._q.copy(), self._v.copy(), self._wrench
         return PlantState(self._time, q, v, wrench, wrench, touching=bool(wrench.any()))
 
+    def _too_stiff(self) -> bool:
+        """Return whether the environment would make an explicit step of the fine scheme grow."""
+        h, unit = self._dt / self._substeps, np.eye(len(self._q))
+        if self._scheme is not MIDPOINT:
+            return False
+        self._rates(0.0, self._q, self._v, np.zeros_like(self._q))
+        softened = np.array([self._softened(column, h) for column in unit])
+        return bool(np.abs(np.linalg.eigvals(softened)).min() < EXPLICIT_SHARE)
+
+    def _softened(self, a: Vector, h: float) -> Vector:
+        """Return (I + h M⁻¹ Jᵀ (D + h K) J)⁻¹ a (nv), where the rates were last taken."""
+        K, D = self._environment.impedance()
+        J = pin.getFrameJacobian(self._model, self._data, self._frame, LOCAL).reshape(6, -1)
+        M = np.triu(pin.crba(self._model, self._data, self._q))
+        M = M + np.triu(M, 1).T
+        answer = M + h * (J.T * (D + h * K)).dot(J)
+        return np.linalg.solve(answer, M.dot(a))
+
     def _rates(
         self, time: float, q: Vector, v: Vector, tau: Vector
     ) -> tuple[Vector, float, Wrench]:
         """Return acceleration (nv), power [W] and wrench (6) [N, Nm] on the environment."""
-        model, data, local = self._model, self._data, pin.ReferenceFrame.LOCAL
+        model, data = self._model, self._data
         pin.computeJointJacobians(model, data, q)
         pin.updateFramePlacement(model, data, self._frame)
-        J = pin.getFrameJacobian(model, data, self._frame, local).reshape(6, -1)
+        J = pin.getFrameJacobian(model, data, self._frame, LOCAL).reshape(6, -1)
         V = J @ v
         wrench = self._environment.wrench(time, data.oMf[self._frame], V)
         a = pin.aba(model, data, q, v, tau - self._joint_damping * v - J.T @ wrench)

@@ -171,6 +171,7 @@ def _what_ran(config: Mapping[str, Any]) -> str:
     solver = f"{config.get('form')} QP solved by {config.get('solver')}"
     words = {
         "robot": "robot {}",
+        "actuator": "{} joints",
         "plant": "{} plant",
         "force": "{} N",
         "speed": "{} m/s",
@@ -183,6 +184,8 @@ def _what_ran(config: Mapping[str, Any]) -> str:
         del words["friction"]  # that plant has none
     if not config.get("force_noise"):
         del words["force_noise"]
+    if config.get("actuator") == "ideal":
+        del words["actuator"]
     said = [
         form.format(number(config[name]))
         for name, form in words.items()

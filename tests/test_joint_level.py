@@ -187,18 +187,22 @@ def weak(folder: Path, name: str, voltage: float) -> str:
 
 
 def test_the_torque_speed_line_binds_the_controller_before_the_motor(tmp_path: Path) -> None:
-    """With a fifth of the voltage: the QP saturates, the motors do not."""
-    drives = [weak(tmp_path, "orange-geared", 9.6)] * 4 + [weak(tmp_path, "lime-geared", 9.6)] * 3
-    flags = ("eraser", "--actuator", "geared", "--speed", "0.5", "--duration", "1")
+    """With a 25th of the voltage: the QP saturates, the motors do not."""
+    drives = [weak(tmp_path, "tmb0210-direct", 17.0)] * 4
+    drives += [weak(tmp_path, "ilm115-direct", 1.36)] * 3
+    flags = ("eraser", "--actuator", "direct-drive", "--speed", "0.5", "--duration", "1")
     run = ran(*flags, "--drives", *drives)
     bound = run.table["active"].str.contains("torque-speed")
     assert bound.sum() > 100
     assert run.table.filter(bound)["saturated"].all()
     assert not run.table["motor_limited"].any()
-    slope = (100 * 0.078) ** 2 / 0.318
-    line = 0.9 * 9.6 * 100 * 0.078 / 0.318 - slope * run.table["v.joint4"].abs()
-    share = run.table["tau.joint4"].abs() / line
-    assert 0.99 < share.max() < 1 + 1e-9  # type: ignore[operator]
+    for joint, k, R, U in (("joint4", 4.07, 2.18, 17.0), ("joint5", 0.2294, 0.07, 1.36)):
+        tau, v = (run.table[f"{name}.{joint}"] for name in ("tau", "v"))
+        needed = (R / k * tau + k * v).abs()  # V
+        assert needed.max() < 0.9 * U + 1e-9  # type: ignore[operator]
+        on_line = run.table["active"].str.contains(f"torque-speed {joint}")
+        assert needed.filter(on_line).to_numpy() == pytest.approx(0.9 * U)
+    assert run.table["active"].str.contains("torque-speed joint[45]").any()
 
 
 @pytest.mark.parametrize(

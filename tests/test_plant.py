@@ -448,3 +448,19 @@ def test_sensors_pass_on_what_the_drives_say() -> None:
     assert readings[-1].tau_delivered == pytest.approx([2.5])
     assert readings[-1].tau_meas == pytest.approx([1.25])
     assert readings[-1].limited
+
+
+@pytest.mark.parametrize("mass", [1e-3, 1.0])
+def test_a_light_link_on_stiff_springs_is_integrated_without_growth(mass: float) -> None:
+    """Of m ẍ + d ẋ + k x = f; with 1 g an explicit step of 0.1 ms grows threefold."""
+    k, d, f, dt = 2000.0, 40.0, 3.0, 1e-4
+    springs = Springs(np.full(6, k), np.full(6, d))
+    plant = CompliantPlant(slider(mass), "tool", springs, dt=dt)
+    plant.reset(np.zeros(1))
+    poles = np.roots([mass, d, k]).astype(complex)
+    residues = [f / (mass * p * (p - other)) for p, other in zip(poles, poles[::-1], strict=True)]
+    for i in range(1, 1001):
+        x = plant.advance(np.array([f]))[0][0]
+        answer = f / k + sum(r * np.exp(p * i * dt) for r, p in zip(residues, poles, strict=True))
+        assert x == pytest.approx(answer.real, abs=0.01 * f / k)  # first order: h k / d is 0.5 %
+    assert x == pytest.approx(answer.real, rel=1e-3)

@@ -130,7 +130,7 @@ def test_a_bound_that_is_widened_is_noticed(name: str) -> None:
 
 @pytest.mark.parametrize("name", SOLVERS)
 def test_bounds_that_meet_are_an_equality(name: str) -> None:
-    """x = 1.8 from both sides; its multiplier is that of the side on which the cost presses."""
+    """X = 1.8 from both sides; its multiplier is that of the side on which the cost presses."""
     for x in (1.8, 2.2):
         qp, _ = hand(1.0)
         met = qp._replace(lb=np.array([x, -4.0, -UNBOUNDED]), ub=np.array([x, 4.0, UNBOUNDED]))

@@ -32,6 +32,8 @@ class TorqueLimits(NamedTuple):
     """Highest torque [Nm], by current, gear and spring."""
     rate: float
     """Highest rate of torque [Nm/s] that the torque loop follows without meeting a limit."""
+    step: float
+    """Largest step of torque [Nm] for which the voltage suffices."""
     stall: float
     """Torque at rest that the voltage can drive [Nm]."""
     droop: float
@@ -165,7 +167,7 @@ class JointDrive:
 
         Less than the motor gives: friction that is compensated takes its share, and so does a
         torque loop, which asks for (1 + K_p) times its error; that is 2 ζ / ω_n times the rate of
-        the command.
+        the command. A step of current takes 2π f_c L times as much voltage.
         """
         motor, efficiency = self.motor, self.gear.efficiency
         stop = rate = math.inf
@@ -179,11 +181,13 @@ class JointDrive:
             rate = LOOP_SHARE * self.motor_torque / ((1 + self.loops.K_p) * lag)
         if self.spring:
             stop = STOP_SHARE * self.spring.stiffness * self.spring.hard_stop
+        jump = (1 - VOLTAGE_SHARE) * motor.voltage / motor.inductance / (1 + self.loops.K_p)
         by_current = self.torque_constant * amperes - self._friction(speed)
         by_voltage = self.torque_constant * volts / motor.resistance - self._friction(0.0)
         return TorqueLimits(
             peak=min(efficiency * by_current, self.gear.peak_torque, stop),
             rate=rate,
+            step=self.torque_constant * jump / (2 * math.pi * self.loops.current_bandwidth),
             stall=efficiency * by_voltage,
             droop=efficiency * (self.torque_constant**2 / motor.resistance + self._drag),
         )

@@ -34,7 +34,7 @@ class Joint:
         twist = self._twist(theta - q)
         rate = omega - v
         twist_torque = self._twist_torque(x, twist, rate)
-        measured = self._measured_torque(x, twist, q)
+        measured = self._measured_torque(x, twist_torque, twist, q)
         wanted, torque_integral, asked_too_much = self._torque_loop(x, tau_cmd, measured, omega)
         winding = self._winding(x, wanted / p["k_t"], omega)
         if self._rigid:
@@ -91,15 +91,15 @@ class Joint:
         tau = p["k"] * twist + D * (rate + h_e / 2) + STOP_STIFFNESS * past
         return tau / (1 + h * y * (D / 2 + h * stop))
 
-    def _measured_torque(self, x: Mapping[str, SX], twist: SX, q: SX) -> SX:
-        """Return the filtered reading [Nm] of a strain gauge, or of two encoders and a spring."""
+    def _measured_torque(self, x: Mapping[str, SX], tau: SX, twist: SX, q: SX) -> SX:
+        """Return the filtered reading [Nm] of a strain gauge, or of the two ends of a spring."""
         p = self._p
         if self._drive.spring:
             near = _rounded(q, p["count"])
             far = _rounded(q + p["k"] / p["spring"] * twist, p["count"])
             reading = p["spring"] * (far - near)
         else:
-            reading = p["k"] * twist + p["bias"] + p["torque_noise"] * self._noise["torque"]
+            reading = tau + p["bias"] + p["torque_noise"] * self._noise["torque"]
             reading = _rounded(reading, p["torque_resolution"])
         return x["torque"] + p["alpha"] * (reading - x["torque"])
 
