@@ -8,6 +8,7 @@ import numpy as np
 
 from qpctrl.arrays import Vector, finite_array, positive
 from qpctrl.certificate import KKT_TOLERANCE
+from qpctrl.compiled import CompileMode
 from qpctrl.contact import ContactPhase
 from qpctrl.engine import Engine
 from qpctrl.errors import InputError, unknown_name
@@ -75,6 +76,7 @@ class Controller:
         law: Law = "qp",
         dependent_rows: DependentRows = "refuse",
         kkt_tolerance: float = KKT_TOLERANCE,
+        compile: CompileMode = "no",
     ) -> None:
         """Build the tick of every mode.
 
@@ -87,6 +89,7 @@ class Controller:
             law: whose torque is sent; all of them are computed and compared.
             dependent_rows: ``refuse`` or ``drop`` rows of A that depend on others at home.
             kkt_tolerance: largest residual of a tick that is accepted.
+            compile: whether the ticks run as generated C, compiled once (`qpctrl.compiled`).
 
         Raises:
             InputError: a name, gain, matrix or mode that cannot be used.
@@ -113,7 +116,13 @@ class Controller:
             usable = independent(robot, mode, dependent_rows)
             check_determined(robot, usable)
             self.engines[mode.name] = Engine(
-                robot, usable, form, make_solver(solver), self.dt, tolerance
+                robot,
+                usable,
+                form=form,
+                solver=make_solver(solver),
+                dt=self.dt,
+                tolerance=tolerance,
+                compile=compile,
             )
             if law == "textbook" and not self.engines[mode.name].tick.has_law:
                 raise InputError(

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from qpctrl import certificate
 from qpctrl.arrays import Array, Vector
+from qpctrl.compiled import CompileMode, compiled
 from qpctrl.errors import InputError, unknown_name
 from qpctrl.evaluator import Evaluator
 from qpctrl.limit import torque_speed
@@ -64,19 +65,27 @@ class Engine:
     """
 
     def __init__(
-        self, robot: Robot, mode: Mode, form: str, solver: Solver, dt: float, tolerance: float
+        self,
+        robot: Robot,
+        mode: Mode,
+        *,
+        form: str,
+        solver: Solver,
+        dt: float,
+        tolerance: float,
+        compile: CompileMode,
     ) -> None:
         self.tick = build_tick(robot, mode, form)
         self._robot, self._solver, self._tolerance = robot, solver, tolerance
-        self._evaluate = Evaluator(self.tick.function, matrices=MATRICES)
+        function = compiled(self.tick.function, compile=compile).function
+        self._evaluate = Evaluator(function, matrices=MATRICES)
         self.terms = self._evaluate.outputs
         sizes = (len(self.terms["g"]), len(self.terms["b"]), len(self.terms["lb"]))
         self._polish = Polish(*sizes)
         self._point = np.zeros(sum(sizes))
         x, y, z = np.split(self._point, np.cumsum(sizes[:2]))
-        self._certify = Evaluator(
-            certificate.build_certificate(self.tick), {**self.terms, "x": x, "y": y, "z": z}
-        )
+        check = compiled(certificate.build_certificate(self.tick), compile=compile).function
+        self._certify = Evaluator(check, {**self.terms, "x": x, "y": y, "z": z})
         self._u = self._evaluate.inputs["u"]
         self._u[:] = self.tick.inputs.vector()
         self.inputs = self.tick.inputs.views(self._u)

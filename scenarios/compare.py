@@ -142,7 +142,15 @@ class _Comparison:
         self._robot = load_robot(case.robot)
         self._space = TaskSpace("flange", case.axes)
         mode = _mode(self._robot, self._space, case.k)
-        self._engine = Engine(self._robot, mode, form, make_solver(solver), 1e-3, KKT_TOLERANCE)
+        self._engine = Engine(
+            self._robot,
+            mode,
+            form=form,
+            solver=make_solver(solver),
+            dt=1e-3,
+            tolerance=KKT_TOLERANCE,
+            compile="no",
+        )
         self._second, self._form = make_solver(second), form
         self._polish = Polish(*(len(self._engine.terms[name]) for name in ("g", "b", "lb")))
         self._worst: dict[str, float] = dict.fromkeys(
