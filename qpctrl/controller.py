@@ -94,20 +94,7 @@ class Controller:
         Raises:
             InputError: a name, gain, matrix or mode that cannot be used.
         """
-        if form not in FORMS:
-            raise unknown_name("form", form, FORMS)
-        if form == "full" and solver in NEED_STRICT_CONVEXITY:
-            raise InputError(
-                f"solver {solver!r} cannot solve the full form, whose Hessian is singular in τ; "
-                "use form 'reduced' or another solver"
-            )
-        if law not in ("qp", "hybrid", "textbook"):
-            raise unknown_name("law", law, ("qp", "hybrid", "textbook"))
-        if not modes:
-            raise InputError("controller: need at least one mode")
-        if len({mode.name for mode in modes}) < len(modes):
-            names = ", ".join(mode.name for mode in modes)
-            raise InputError(f"controller: names of modes must differ, got {names}")
+        _check_choices(form, solver, law, modes)
         self.robot, self.dt, self.law = robot, float(positive(dt, (), "dt")), law
         tolerance = float(positive(kkt_tolerance, (), "kkt_tolerance"))
         self._fallback = Fallback(robot)
@@ -238,6 +225,23 @@ class Controller:
             if name in old and old[name].shape == view.shape:
                 view[...] = old[name]
         return x
+
+
+def _check_choices(form: str, solver: str, law: str, modes: Sequence[Mode]) -> None:
+    if form not in FORMS:
+        raise unknown_name("form", form, FORMS)
+    if form == "full" and solver in NEED_STRICT_CONVEXITY:
+        raise InputError(
+            f"solver {solver!r} cannot solve the full form, whose Hessian is singular in τ; "
+            "use form 'reduced' or another solver"
+        )
+    if law not in ("qp", "hybrid", "textbook"):
+        raise unknown_name("law", law, ("qp", "hybrid", "textbook"))
+    if not modes:
+        raise InputError("controller: need at least one mode")
+    if len({mode.name for mode in modes}) < len(modes):
+        names = ", ".join(mode.name for mode in modes)
+        raise InputError(f"controller: names of modes must differ, got {names}")
 
 
 def _judge(measurement: Measurement, memory: Memory) -> Status:

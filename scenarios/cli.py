@@ -1,4 +1,4 @@
-"""The command line: ``qpctrl list | run | compare | constraints``.
+"""The command line: ``qpctrl list | run | compare | compare-actuators | constraints | actuator``.
 
 Exit codes: 0 all of the command's own criteria hold, 1 they do not, 2 bad input (one line).
 """
@@ -12,7 +12,9 @@ from rich.table import Table
 
 from qpctrl.errors import InputError, QpctrlError, unknown_name
 from scenarios.catalogue import SCENARIOS
+from scenarios.cli_actuator import actuator_command
 from scenarios.cli_compare import compare_command
+from scenarios.cli_compare_actuators import compare_actuators_command
 from scenarios.cli_constraints import constraints_command
 from scenarios.cli_run import run_command
 from scenarios.command import parse
@@ -21,16 +23,20 @@ from scenarios.console import console
 USAGE = """usage: qpctrl COMMAND [--help]
 
 commands:
-  list              scenarios that can be run
-  run SCENARIO      run one and write summary.json, ticks.parquet and report.html
-  compare           QP against the closed-form laws over random states
-  constraints NAME  natural and artificial constraints of a contact, in words and numbers
+  list                        scenarios that can be run
+  run SCENARIO                run one and write summary.json, ticks.parquet and report.html
+  compare                     QP against the closed-form laws over random states
+  compare-actuators SCENARIO  one job with five actuators, and why they differ
+  constraints NAME            natural and artificial constraints of a contact
+  actuator NAME               data sheet of a joint drive, against its transfer function
 
 examples:
   qpctrl run eraser --force 15 --speed 0.1 --out runs/slow
   qpctrl run eraser --robot arm.urdf --tool tool0 --home 0 -1.2 1.5 0 1.2 0
   qpctrl compare --states 200
+  qpctrl compare-actuators eraser
   qpctrl constraints hinge
+  qpctrl actuator orange-elastic
 """
 
 
@@ -63,7 +69,9 @@ def _dispatch(arguments: list[str]) -> bool:
         "list": _list,
         "run": run_command,
         "compare": compare_command,
+        "compare-actuators": compare_actuators_command,
         "constraints": constraints_command,
+        "actuator": actuator_command,
     }
     if not arguments:
         raise InputError(f"missing COMMAND; allowed: {', '.join(commands)}, --help")

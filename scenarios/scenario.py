@@ -14,6 +14,7 @@ from qpctrl.errors import InputError
 from qpctrl.mode import Mode
 from qpctrl.objective import Reference
 from qpctrl.robot import Robot
+from scenarios.actuator.ablation import Ablation
 from scenarios.joint_level import Actuator, JointLevel, joint_level
 from scenarios.panel import Panel
 from scenarios.plant import Plant, PlantState
@@ -83,10 +84,12 @@ class Options:
     drives: tuple[str, ...] = ()
     """Joint drives, names of `qpctrl actuator` or TOML files: one for all joints or one for each;
     default: by the joint's torque limit."""
+    without: tuple[Ablation, ...] = ()
+    """What is taken away from the drives, to see what it costs."""
     inner_rate: float = 10000.0
     """Rate of the drives' current and torque loops [Hz]."""
     compiled: CompileMode = "auto"
-    """Whether the inner loop runs as generated C."""
+    """Whether ticks and inner loop run as generated C, which takes seconds the first time."""
 
     def __post_init__(self) -> None:
         if self.seed < 0:
@@ -105,12 +108,15 @@ class Options:
             dt=dt,
             seed=self.seed,
             compile=self.compiled,
+            ablations=self.without,
         )
 
     def controller(self, robot: Robot, modes: Sequence[Mode], dt: float) -> Controller:
         """Return a controller of period ``dt`` [s] that is run as these options say."""
         solver, form, law = self.solver, self.form, self.law
-        return Controller(robot, modes, dt=dt, solver=solver, form=form, law=law)
+        return Controller(
+            robot, modes, dt=dt, solver=solver, form=form, law=law, compile=self.compiled
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

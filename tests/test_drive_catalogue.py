@@ -8,7 +8,13 @@ import numpy as np
 import pytest
 
 from qpctrl.evaluator import Evaluator
-from scenarios.actuator.catalogue import default_drives, drive_names, load_drive
+from scenarios.actuator.catalogue import (
+    default_drives,
+    drive_names,
+    drive_text,
+    load_drive,
+    read_drive,
+)
 from scenarios.actuator.drive import DESIGNS, JointDrive
 from scenarios.actuator.inner import NOISES, build_inner_tick, check_rate, initial_state
 
@@ -205,3 +211,10 @@ def test_each_design_has_drives_in_the_order_of_their_size():
         assert small.design == large.design == design
         assert small.peak_torque < large.peak_torque
     assert {drive.design for drive in DRIVES} == set(DESIGNS)
+
+
+@pytest.mark.parametrize("drive", DRIVES, ids=drive_names())
+def test_a_drive_survives_its_own_file(drive, tmp_path):
+    path = tmp_path / f"{drive.name}.toml"
+    path.write_text(drive_text(drive), encoding="utf-8")
+    assert read_drive(path) == drive

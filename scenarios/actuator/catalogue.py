@@ -1,5 +1,6 @@
 """Joint drives by name, from the catalogue or from a file of the user's."""
 
+import json
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, fields
@@ -36,7 +37,6 @@ def drive_names() -> tuple[str, ...]:
     return tuple(_catalogue()["drives"])
 
 
-@cache
 def load_drive(name: str) -> JointDrive:
     """Return a drive of the catalogue, or of a user's TOML file (a name that ends in .toml).
 
@@ -66,6 +66,19 @@ def read_drive(path: Path) -> JointDrive:
         return _drive(path.stem, content)
     except InputError as error:
         raise InputError(f"drive file {str(path)!r}: {error}") from error
+
+
+def drive_text(drive: JointDrive) -> str:
+    """Return the TOML file that describes a drive, without what is as by default."""
+    lines = [f"source = {json.dumps(drive.source, ensure_ascii=False)}"]
+    for key in PARTS:
+        part = getattr(drive, key)
+        if part is None:
+            continue
+        given = [(field.name, getattr(part, field.name), field.default) for field in fields(part)]
+        said = [f"{name} = {value!r}" for name, value, default in given if value != default]
+        lines += ["", f"[{key}]", *said] if said else []
+    return "\n".join(lines) + "\n"
 
 
 def default_drives(design: Design, tau_max: Vector) -> tuple[JointDrive, ...]:

@@ -128,12 +128,14 @@ class JointDrive:
         """Gain of the derivative of the measured torque [s], from the damping ratio.
 
         With a locked output J s² + (b + K_d k) s + k (1 + K_p); b is what friction and damping do.
+        A strain gauge reads the damping of the twist too, which its loop thus amplifies.
         """
         if not self.has_torque_loop:
             return 0.0
-        k, J = self.stiffness, self.inertia
-        wanted = 2 * self.loops.damping_ratio * math.sqrt(k * (1 + self.loops.K_p) * J)
-        return max(0.0, wanted - self.damping) / k
+        k, J, K_p = self.stiffness, self.inertia, self.loops.K_p
+        wanted = 2 * self.loops.damping_ratio * math.sqrt(k * (1 + K_p) * J)
+        read = self.twist_damping * K_p if self.strain_gauge else 0.0
+        return max(0.0, wanted - self.damping - read) / k
 
     @property
     def damping(self) -> float:

@@ -92,6 +92,9 @@ def check_rate(drive: JointDrive, step: float, mobility: float) -> None:
         f"time constant of the winding, {1e3 * winding:.3g} ms": 0.5 * winding,
         f"current bandwidth of {drive.loops.current_bandwidth:g} Hz": 0.15
         / drive.loops.current_bandwidth,
+        f"swing of {drive.inertia:.3g} kg m² on its back-EMF": float(
+            np.sqrt(drive.inertia * drive.motor.inductance) / drive.torque_constant
+        ),
     }
     if not drive.rigid:
         stiff = drive.stiffness * (1 / drive.inertia + mobility)

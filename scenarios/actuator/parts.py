@@ -11,22 +11,32 @@ from typing import Any, final
 
 from qpctrl.errors import InputError
 
+RANGE = (1e-12, 1e12)
+"""Of every number that is neither 0 nor may be infinite."""
+
 
 class Part:
-    """Base of the parts: every number is checked by name when the part is made."""
+    """Base of the parts: every number is checked by name when the part is made.
+
+    It may be infinite only where that is what it is by default.
+    """
 
     _positive: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         for field in fields(self):  # type: ignore[arg-type]
-            _check(field.name, getattr(self, field.name), field.name in self._positive)
+            value = getattr(self, field.name)
+            _check(field.name, value, field.name in self._positive, field.default == math.inf)
 
 
-def _check(name: str, value: Any, positive: bool) -> None:
+def _check(name: str, value: Any, positive: bool, may_be_infinite: bool) -> None:
     if isinstance(value, bool) or not isinstance(value, int | float) or math.isnan(value):
         raise InputError(f"{name}: got {value!r}, need a number")
     if value <= 0 if positive else value < 0:
         raise InputError(f"{name}: got {value}, need a number {'> 0' if positive else '>= 0'}")
+    least, most = RANGE
+    if value and not least <= value <= most and not (value == math.inf and may_be_infinite):
+        raise InputError(f"{name}: got {value}, need a number from {least:g} to {most:g}")
 
 
 @final
