@@ -1,16 +1,16 @@
 """The report of a run: one self-contained HTML page, opened by a person."""
 
-import json
 from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
 
 import polars as pl
-from plotly.offline import get_plotlyjs
 
 from qpctrl.status import Status
 from scenarios.panel import Panel, common_panels
-from scenarios.report_style import CSS, number, packed
+from scenarios.report_page import CRITERIA_HEAD, details, page, section
+from scenarios.report_page import table as html_table
+from scenarios.report_style import number
 
 FEW = 5  # fallback ticks that are listed one by one
 
@@ -93,23 +93,9 @@ def quantity(name: str, value: Any, given: str | None = None) -> tuple[str, str]
     return number(value), sign
 
 
-def _rows(table: Mapping[str, Any]) -> str:
-    """Return the body rows of a table of names and values."""
-    return "".join(
-        f"<tr><td>{escape(str(key))}</td><td>{escape(_plain(value))}</td></tr>"
-        for key, value in table.items()
-    )
-
-
 def _list_of(items: Sequence[str]) -> str:
     """Return an HTML list of texts, escaped."""
     return "<ul>" + "".join(f"<li>{escape(item)}</li>" for item in items) + "</ul>"
-
-
-def _plain(value: Any) -> str:
-    if value is None:
-        return "–"
-    return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
 
 
 def render_report(summary: Mapping[str, Any], table: pl.DataFrame, own: Sequence[Panel]) -> str:
@@ -121,8 +107,6 @@ def render_report(summary: Mapping[str, Any], table: pl.DataFrame, own: Sequence
         own: the scenario's own pictures, which come first.
     """
     panels = [*own, *common_panels(table)]
-    figures = {panel.key: panel.figure for panel in panels if panel.figure}
-    data = json.dumps(figures, default=packed, ensure_ascii=False).replace("<", "\\u003c")
     body = (
         _header(summary),
         _notes(summary, table),
@@ -131,21 +115,7 @@ def render_report(summary: Mapping[str, Any], table: pl.DataFrame, own: Sequence
         _sections([panel for panel in panels if panel.figure]),
         _details(summary),
     )
-    title = f"{summary['scenario']} – {_verdict(summary)}"
-    return (
-        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{escape(title)}</title><style>{CSS}</style></head>\n<body><main>\n"
-        + "\n".join(body)
-        + f"\n</main>\n<script>{get_plotlyjs()}</script>\n<script>\nconst figures = {data};\n"
-        f"{_DRAW}</script>\n</body></html>\n"
-    )
-
-
-_DRAW = """for (const [key, figure] of Object.entries(figures))
-  Plotly.newPlot(key, figure.data, figure.layout, {responsive: true,
-    displaylogo: false, showSendToCloud: false, plotlyServerURL: ""});
-"""
+    return page(f"{summary['scenario']} – {_verdict(summary)}", body, panels)
 
 
 def _header(summary: Mapping[str, Any]) -> str:
@@ -206,11 +176,7 @@ def _criteria(criteria: Sequence[Mapping[str, Any]]) -> str:
             f'<td class="n">{escape(value)}</td><td class="n">≤ {escape(limit)}</td>'
             f"<td>{escape(sign)}</td>{verdict}</tr>"
         )
-    return (
-        '<section><h2>Criteria</h2><table><thead><tr><th>what</th><th class="n">value</th>'
-        '<th class="n">limit</th><th>unit</th><th>verdict</th></tr></thead>'
-        f"<tbody>{''.join(lines)}</tbody></table></section>"
-    )
+    return f"<section><h2>Criteria</h2>{html_table(CRITERIA_HEAD, lines)}</section>"
 
 
 def _tiles(metrics: Mapping[str, Any]) -> str:
@@ -266,16 +232,13 @@ def _sections(panels: Sequence[Panel]) -> str:
     """Return the figures, half ones side by side."""
     sections, pending = [], ""
     for panel in panels:
-        section = (
-            f'<section><h2>{escape(panel.title)}</h2><p class="caption">{escape(panel.caption)}</p>'
-            f'<div id="{panel.key}" role="img" aria-label="{escape(panel.title)}"></div></section>'
-        )
+        place = section(panel)
         if panel.half and pending:
-            section, pending = f'<div class="pair">{pending}{section}</div>', ""
+            place, pending = f'<div class="pair">{pending}{place}</div>', ""
         elif panel.half:
-            pending = section
+            pending = place
             continue
-        sections += [pending, section]
+        sections += [pending, place]
         pending = ""
     sections.append(pending)
     return "\n".join(sections).strip() or "<section><p>Nothing was recorded.</p></section>"
@@ -283,8 +246,5 @@ def _sections(panels: Sequence[Panel]) -> str:
 
 def _details(summary: Mapping[str, Any]) -> str:
     parts = {"Configuration": "config", "Metrics": "metrics", "Versions": "versions"}
-    tables = "".join(
-        f"<h3>{title}</h3><table><tbody>{_rows(summary[key])}</tbody></table>"
-        for title, key in parts.items()
-    )
-    return f"<details><summary>Configuration, all metrics, versions</summary>{tables}</details>"
+    shown = {title: summary[key] for title, key in parts.items()}
+    return details("Configuration, all metrics, versions", shown)

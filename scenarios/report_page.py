@@ -16,6 +16,11 @@ DRAW = """for (const [key, figure] of Object.entries(figures))
     displaylogo: false, showSendToCloud: false, plotlyServerURL: ""});
 """
 
+CRITERIA_HEAD = (
+    '<tr><th>what</th><th class="n">value</th><th class="n">limit</th><th>unit</th>'
+    "<th>verdict</th></tr>"
+)
+
 
 def page(title: str, body: Sequence[str], panels: Sequence[Panel]) -> str:
     """Return a self-contained page; it needs no network and no other file.
@@ -60,11 +65,7 @@ def criteria_section(criteria: Sequence[Criterion], words: Mapping[str, str]) ->
             f'<td class="n">{number(c.value)}</td><td class="n">≤ {number(c.limit)}</td>'
             f"<td>{escape(c.unit)}</td>{good}</tr>"
         )
-    head = (
-        '<tr><th>what</th><th class="n">value</th><th class="n">limit</th><th>unit</th>'
-        "<th>verdict</th></tr>"
-    )
-    return f"<section><h2>Criteria</h2>{table(head, lines)}</section>"
+    return f"<section><h2>Criteria</h2>{table(CRITERIA_HEAD, lines)}</section>"
 
 
 def section(panel: Panel) -> str:

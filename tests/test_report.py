@@ -267,7 +267,7 @@ DAMAGES = {
 def test_any_record_gives_a_page(
     damage: str, where: dict[str, np.ndarray], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("scenarios.report.get_plotlyjs", lambda: "/** five megabytes */")
+    monkeypatch.setattr("scenarios.report_page.get_plotlyjs", lambda: "/** five megabytes */")
     summary = a_summary(passed=False)
     for c in summary["criteria"]:
         c |= {"value": None, "passed": False}
