@@ -13,6 +13,7 @@ import polars as pl
 from qpctrl.arrays import Matrix
 from qpctrl.errors import InputError
 from scenarios.actuator.ablation import ABLATIONS
+from scenarios.actuator.inner import INNER_RATE
 from scenarios.actuator_reason import WORDS, Study
 from scenarios.force_error import ForceError, find_force_error
 from scenarios.job import Finding, Job, run_jobs, workers
@@ -126,7 +127,9 @@ def compare_actuators(
     Raises:
         InputError: the parameters cannot be used with one of the actuators.
     """
-    plain = {name: replace(options, actuator=name, drives=(), without=()) for name in ACTUATORS}
+    bare = replace(options, drives=(), without=())
+    plain = {name: replace(bare, actuator=name) for name in ACTUATORS}
+    plain["ideal"] = replace(plain["ideal"], inner_rate=INNER_RATE)  # these have no loops
     short = _shortened(scenario) if ablations else scenario
     with workers() as pool:
         crew = _Crew(pool, watch)

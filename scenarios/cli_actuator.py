@@ -13,8 +13,9 @@ from rich.table import Column, Table
 
 from qpctrl.errors import InputError
 from scenarios.actuator.catalogue import drive_names, drive_text, load_drive
+from scenarios.actuator.inner import INNER_RATE
 from scenarios.actuator.page import render_page
-from scenarios.actuator.sheet import CRITERIA, INNER_RATE, DataSheet, data_sheet, model_bandwidth
+from scenarios.actuator.sheet import CRITERIA, DataSheet, data_sheet, model_bandwidth
 from scenarios.actuator.transfer import torque_transfer
 from scenarios.command import parse
 from scenarios.console import console

@@ -16,6 +16,7 @@ from rich.table import Column, Table
 
 from qpctrl.compiled import CompileMode
 from qpctrl.errors import InputError, unknown_name
+from scenarios.actuator.inner import INNER_RATE
 from scenarios.actuator_comparison import ACTUATORS, Comparison, Watch, compare_actuators
 from scenarios.actuator_comparison_page import (
     CRITERIA,
@@ -75,7 +76,7 @@ class Comparing:
     """Do not find out why they differ, which takes most of the time."""
     seed: int = 0
     """Seed of every random number."""
-    inner_rate: float = 10000.0
+    inner_rate: float = INNER_RATE
     """Rate of the drives' current and torque loops [Hz]."""
     compiled: CompileMode = "auto"
     """Whether ticks and inner loop run as generated C, which takes seconds the first time."""

@@ -92,6 +92,8 @@ def _print_outcome(outcome: Outcome, folder: Path) -> None:
         )
     out.print(f"[bold]{summary['scenario']}[/] {verdict}")
     out.print(table)
+    if summary["config"]["actuator"] != "ideal":
+        out.print(f"{summary['config']['actuator']} joints; the limits are those for ideal ones")
     metrics = {name: math.nan if v is None else v for name, v in summary["metrics"].items()}
     out.print(
         f"tick {metrics['tick_us_median']:.0f} µs median, {metrics['tick_us_p99']:.0f} µs p99; "

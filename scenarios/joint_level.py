@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-import pinocchio as pin
 
 from qpctrl.arrays import Vector
 from qpctrl.compiled import CompileMode
@@ -18,8 +17,9 @@ from qpctrl.robot import Robot
 from scenarios.actuator.ablation import Ablation, without
 from scenarios.actuator.catalogue import default_drives, load_drive
 from scenarios.actuator.drive import DESIGNS, Design, JointDrive
+from scenarios.actuator.inner import INNER_RATE
 from scenarios.plant import Plant, SteppedPlant
-from scenarios.plant_actuated import ActuatedPlant
+from scenarios.plant_actuated import ActuatedPlant, Mobility
 
 Actuator = Literal["ideal", "direct-drive", "geared", "strain-gauge", "series-elastic"]
 """How torque is made at the joints; ideal joints deliver what is asked."""
@@ -57,18 +57,10 @@ class JointLevel:
             self.drives,
             step=self.dt,
             steps=self.steps,
-            mobility=self._mobility(),
+            mobility=Mobility(with_armature(self.robot, self.armature)),
             seed=self.seed,
             compile=self.compile,
         )
-
-    def _mobility(self) -> Vector:
-        """Return the acceleration of each driven joint per torque (nu) at home [1/(kg m²)]."""
-        robot = self.robot
-        model = with_armature(robot, self.armature).model
-        M = pin.crba(model, model.createData(), robot.home)
-        M = np.triu(M) + np.triu(M, 1).T
-        return np.einsum("ji,jk,ki->i", robot.B, np.linalg.inv(M), robot.B)
 
 
 def joint_level(
@@ -103,6 +95,8 @@ def joint_level(
         for name, given in (("drives", drives), ("without", ablations)):
             if given:
                 raise InputError(f"{name}: got {', '.join(given)} with actuator 'ideal', need none")
+        if inner_rate != INNER_RATE:
+            raise InputError(f"inner_rate: got {inner_rate:g} Hz, but ideal joints have no loops")
         return JointLevel(robot=robot, dt=dt)
     steps = inner_steps(inner_rate, dt)
     chosen = _on_their_joints(robot, _chosen(robot, actuator, drives))

@@ -9,7 +9,8 @@ class JointReading(NamedTuple):
     """What the drives of the joints say of the last period."""
 
     tau_delivered: Vector
-    """Torque at the joint (nu) [Nm or N], its mean over the period."""
+    """What arrived of the torque asked for (nu) [Nm or N], its mean over the period: torque on
+    the joint and on the inertia that the controller takes for the joint's own."""
     tau_meas: Vector
     """Torque that the joint's own sensor reads (nu) [Nm or N]."""
     current: Vector

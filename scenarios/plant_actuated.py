@@ -13,8 +13,30 @@ from scenarios.actuator.drive import JointDrive
 from scenarios.actuator.inner import NOISES, build_inner_tick, initial_state
 from scenarios.plant import JointReading, PlantState, SteppedPlant
 
+CONFIGURATIONS = 300
+"""At which the largest mobility of a joint is looked for."""
+
 NOISE_BLOCK = 256
 """Periods of the controller whose noise is drawn at once."""
+
+
+class Mobility:
+    """Acceleration of each driven joint per torque of its own, (M⁻¹)_jj, where the robot is."""
+
+    def __init__(self, robot: Robot) -> None:
+        """Describe the mobility of ``robot``, whose rotors are the plant's own."""
+        self._model, self._data = robot.model, robot.model.createData()
+        self._joint, self._limits = np.argmax(robot.B != 0, axis=0), robot.limits
+
+    def at(self, q: Vector) -> Vector:
+        """Return it (nu) [1/(kg m²) or 1/kg] at ``q`` (nq)."""
+        return pin.computeMinverse(self._model, self._data, q).diagonal()[self._joint]
+
+    def largest(self) -> Vector:
+        """Return the largest (nu) at some hundred configurations within the joints' range."""
+        rng, limits = np.random.default_rng(0), self._limits
+        low, high = np.maximum(limits.q_min, -np.pi), np.minimum(limits.q_max, np.pi)
+        return np.max([self.at(rng.uniform(low, high)) for _ in range(CONFIGURATIONS)], axis=0)
 
 
 class ActuatedPlant:
@@ -31,7 +53,7 @@ class ActuatedPlant:
         *,
         step: float,
         steps: int,
-        mobility: Vector,
+        mobility: Mobility,
         seed: int = 0,
         compile: CompileMode = "auto",
     ) -> None:
@@ -43,7 +65,7 @@ class ActuatedPlant:
             drives: one for each actuator.
             step: period of the inner loop [s].
             steps: inner steps in a period of the controller.
-            mobility: acceleration of each driven joint per torque (nu) [1/(kg m²)].
+            mobility: of the driven joints, without the rotors of elastic drives.
             seed: seed of the drives' noise.
             compile: whether the inner tick runs as generated C.
 
@@ -52,11 +74,13 @@ class ActuatedPlant:
         """
         self._plant, self._robot, self._drives = plant, robot, tuple(drives)
         self._steps, self._seed, self._step = steps, seed, step
-        tick = build_inner_tick(drives, step, mobility)
+        tick = build_inner_tick(drives, step, mobility.largest())
         self._tick = tick
         self._evaluate = Evaluator(compiled(tick.function, compile=compile).function)
         self._in, self._out = self._evaluate.inputs, self._evaluate.outputs
-        self._in["p"][:] = tick.parameters
+        self._in["p"][:] = tick.numbers.vector()
+        self._free = tick.numbers.views(self._in["p"])["mobility"]
+        self._mobility, self._q = mobility, robot.home
         self._state = tick.states.views(self._in["x"])
         self._joint = np.argmax(robot.B != 0, axis=0)  # which joint each actuator moves
         self._all_driven = np.array_equal(robot.B, np.eye(robot.nv))
@@ -75,6 +99,7 @@ class ActuatedPlant:
         for name, value in initial_state(self._drives, q[self._joint], hold).items():
             self._state[name][:] = value
         state = self._plant.reset(q)
+        self._q = state.q
         self._in["q"][...], self._in["v"][...] = state.q[self._joint], state.v[self._joint]
         return state._replace(joints=self._reading(hold, hold))
 
@@ -83,7 +108,7 @@ class ActuatedPlant:
         evaluate, advance, joint = self._evaluate, self._plant.advance, self._joint
         x, q_in, v_in, noise_in = (self._in[name] for name in ("x", "q", "v", "noise"))
         x_next, torque = self._out["x_next"], self._out["tau"]
-        self._in["tau_cmd"][...] = tau[joint]
+        self._in["tau_cmd"][...], self._free[...] = tau[joint], self._mobility.at(self._q)
         self._state["delivered"][...] = self._state["limited"][...] = 0.0
         for noise in self._draw():
             noise_in[...] = noise
@@ -95,10 +120,9 @@ class ActuatedPlant:
                 self._tau[joint] = torque
                 q, v = advance(self._tau)
                 q_in[...], v_in[...] = q[joint], v[joint]
-        delivered = self._state["delivered"] / self._steps
-        return self._plant.read()._replace(
-            joints=self._reading(delivered, self._state["torque"].copy())
-        )
+        delivered, state = self._state["delivered"] / self._steps, self._plant.read()
+        self._q = state.q
+        return state._replace(joints=self._reading(delivered, self._state["torque"].copy()))
 
     def _draw(self) -> Array:
         """Return the noise of each step (steps×m) [1]: numbers of variance 1."""

@@ -141,7 +141,7 @@ def _what_ran(config: Mapping[str, Any]) -> str:
     solver = f"{config.get('form')} QP solved by {config.get('solver')}"
     words = {
         "robot": "robot {}",
-        "actuator": "{} joints",
+        "actuator": "{} joints, judged like ideal ones",
         "plant": "{} plant",
         "force": "{} N",
         "speed": "{} m/s",

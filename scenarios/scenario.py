@@ -15,6 +15,7 @@ from qpctrl.mode import Mode
 from qpctrl.objective import Reference
 from qpctrl.robot import Robot
 from scenarios.actuator.ablation import Ablation
+from scenarios.actuator.inner import INNER_RATE
 from scenarios.joint_level import Actuator, JointLevel, joint_level
 from scenarios.panel import Panel
 from scenarios.plant import Plant, PlantState
@@ -83,10 +84,10 @@ class Options:
     """Design of the joints: what becomes of a commanded torque."""
     drives: tuple[str, ...] = ()
     """Joint drives, names of `qpctrl actuator` or TOML files: one for all joints or one for each;
-    default: by the joint's torque limit."""
+    default: by the joint's torque limit. They move sliding joints by a capstan of 20 mm radius."""
     without: tuple[Ablation, ...] = ()
     """What is taken away from the drives, to see what it costs."""
-    inner_rate: float = 10000.0
+    inner_rate: float = INNER_RATE
     """Rate of the drives' current and torque loops [Hz]."""
     compiled: CompileMode = "auto"
     """Whether ticks and inner loop run as generated C, which takes seconds the first time."""

@@ -1,12 +1,14 @@
 """Every drive of the catalogue: where its numbers come from, what they are, that its loops hold."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import pytest
 
+from qpctrl import InputError
 from qpctrl.evaluator import Evaluator
 from scenarios.actuator.catalogue import (
     default_drives,
@@ -39,7 +41,7 @@ class Bench:
         tick = build_inner_tick(drives, STEP, mobility)
         n = len(drives)
         self._evaluate = Evaluator(tick.function)
-        self._evaluate.inputs["p"][:] = tick.parameters
+        self._evaluate.inputs["p"][:] = tick.numbers.vector()
         self._rng = np.random.default_rng(1)
         self._noises = n * len(NOISES)
         self.state = tick.states.views(self._evaluate.inputs["x"])
@@ -183,8 +185,8 @@ def reading_error(drive: JointDrive) -> float:
 
 @pytest.mark.parametrize("drive", DRIVES, ids=drive_names())
 def test_a_drive_can_run_at_10_khz_with_locked_and_with_free_output(drive):
-    check_rate(drive, STEP, 0.0)
-    check_rate(drive, STEP, 1 / LINK)
+    check_rate([drive], STEP, [0.0])
+    check_rate([drive], STEP, [1 / LINK])
 
 
 @pytest.mark.parametrize("j", range(len(DRIVES)), ids=drive_names())
@@ -218,3 +220,21 @@ def test_a_drive_survives_its_own_file(drive, tmp_path):
     path = tmp_path / f"{drive.name}.toml"
     path.write_text(drive_text(drive), encoding="utf-8")
     assert read_drive(path) == drive
+
+
+@pytest.mark.parametrize("name", ["K_p", "K_i", "damping_ratio", "cutoff"])
+@pytest.mark.parametrize("drive", ["orange-geared", "ilm115-direct"])
+def test_a_torque_loop_needs_something_to_measure_by(drive, name):
+    given = load_drive(drive)
+    with pytest.raises(InputError, match=f"loops: {name} needs a strain gauge or a spring"):
+        replace(given, loops=replace(given.loops, **{name: 0.5}))
+
+
+def test_the_rate_that_would_do_would_do_for_all_drives_and_needs():
+    drives = [load_drive("orange-geared"), load_drive("lime-geared")]
+    with pytest.raises(InputError, match="too slow") as refused:
+        check_rate(drives, 1 / 2000, [2.0, 100.0])
+    rate = float(re.search(r"; (\d+) Hz would do", str(refused.value))[1])
+    check_rate(drives, 1 / rate, [2.0, 100.0])
+    with pytest.raises(InputError):
+        check_rate(drives, 1 / (rate - 1000), [2.0, 100.0])

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from qpctrl.robot import from_pinocchio
 from scenarios.actuator.catalogue import load_drive
 from scenarios.joint_level import CAPSTAN, JointLevel, with_armature
 from scenarios.plant import Plant
+from scenarios.plant_actuated import Mobility
 from scenarios.plant_rigid import RigidPlant
 from scenarios.robot_file import load_robot
 from scenarios.scenario import Options
@@ -220,6 +222,7 @@ def test_the_torque_speed_line_binds_the_controller_before_the_motor(tmp_path: P
         ("--actuator geared --inner-rate 3000", "too slow for drive"),
         ("--actuator strain-gauge --inner-rate 2000", "Hz would do"),
         ("--compiled maybe", "auto"),
+        ("--inner-rate 20000", "ideal joints have no loops"),
     ],
 )
 def test_bad_flags_are_refused_in_one_line(flags: str, says: str) -> None:
@@ -239,3 +242,26 @@ def test_an_actuator_that_moves_two_joints_has_no_drive() -> None:
     robot = from_pinocchio(model, B=np.array([[1.0], [1.0]]), tau_rate=1e3)
     with pytest.raises(InputError, match="each actuator must move one joint"):
         level(robot, "geared", drives=("lime-geared",))
+
+
+def test_a_folded_arm_meets_its_hard_stops_without_chatter() -> None:
+    """Where joint 3 is ten times as mobile as at home, a stop must not throw it."""
+    joints = level(load_robot("fr3"), "series-elastic")
+    free = Mobility(with_armature(joints.robot, joints.armature))
+    rng, limits = np.random.default_rng(3), joints.robot.limits
+    poses = [rng.uniform(limits.q_min, limits.q_max) for _ in range(300)]
+    q = max(poses, key=lambda pose: float(free.at(pose)[2]))
+    assert free.at(q)[2] > 5 * free.at(joints.robot.home)[2]
+    M_inv = np.linalg.inv(inertia(replace(with_armature(joints.robot, joints.armature), home=q)))
+    assert free.at(q) == pytest.approx(np.diag(M_inv))
+    plant, robot = held_plant(joints), joints.robot
+    state = plant.reset(q)
+    hold = pin.computeGeneralizedGravity(robot.model, robot.model.createData(), q)
+    speeds = []
+    for i in range(200):  # far beyond what the springs carry
+        push = np.zeros(7)
+        push[2] = 600.0 if i < 100 else 0.0
+        state = plant.step(hold + push)
+        speeds.append(np.abs(state.v).max())
+    assert np.isfinite(speeds).all()
+    assert max(speeds) < 60

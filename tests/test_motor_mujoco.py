@@ -44,7 +44,7 @@ class Drive:
     def __init__(self, drive: JointDrive, step: float = STEP, mobility: float = 0.0) -> None:
         tick = build_inner_tick([drive], step, mobility)
         self._evaluate = Evaluator(tick.function)
-        self._evaluate.inputs["p"][:] = tick.parameters
+        self._evaluate.inputs["p"][:] = tick.numbers.vector()
         self.state = tick.states.views(self._evaluate.inputs["x"])
 
     def step(self, tau_cmd: float, q: float, v: float) -> tuple[float, float]:

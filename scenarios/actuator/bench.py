@@ -107,7 +107,7 @@ def run_bench(
     tick = build_inner_tick(drives, step, mobility)
     evaluate = Evaluator(tick.function)
     given, result = evaluate.inputs, evaluate.outputs
-    given["p"][:] = tick.parameters
+    given["p"][:] = tick.numbers.vector()
     x, q, v = given["x"], given["q"], given["v"]
     state = tick.states.views(x)
     v[:] = led[0]

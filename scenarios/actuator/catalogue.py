@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, fields
 from functools import cache
 from pathlib import Path
-from typing import Any, get_type_hints
+from typing import Any
 
 import numpy as np
 
@@ -106,8 +106,9 @@ def _part(key: str, table: Any) -> Part:
     kind = PARTS[key]
     if not isinstance(table, dict):
         raise InputError(f"{key}: got {table!r}, need a table of numbers")
-    needed = [field.name for field in fields(kind) if field.default is MISSING]  # type: ignore[arg-type]
-    _check_keys(f"{key}: ", table, tuple(get_type_hints(kind)), needed)
+    known = fields(kind)  # type: ignore[arg-type]
+    needed = [field.name for field in known if field.default is MISSING]
+    _check_keys(f"{key}: ", table, [field.name for field in known], needed)
     try:
         return kind(**table)
     except InputError as error:

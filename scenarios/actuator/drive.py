@@ -62,10 +62,13 @@ class JointDrive:
     def __post_init__(self) -> None:
         if self.spring and self.strain_gauge:
             raise InputError(f"drive {self.name!r}: has a spring and a strain gauge, need one")
-        if not self.has_torque_loop and (self.loops.K_p or self.loops.K_i):
-            raise InputError(
-                f"drive {self.name!r}: K_p and K_i need a strain gauge or a spring to measure by"
-            )
+        if not self.has_torque_loop:
+            for name in ("K_p", "K_i", "damping_ratio", "cutoff"):
+                if getattr(self.loops, name):
+                    raise InputError(
+                        f"drive {self.name!r}: loops: {name} needs a strain gauge or a spring to "
+                        "measure torque by"
+                    )
         if self.rigid:
             for part, field, none in (
                 ("gear", "backlash", 0.0),
@@ -229,7 +232,7 @@ class JointDrive:
             if not getattr(limits, name) > 0:
                 raise InputError(
                     f"drive {self.name!r}: {name} torque is {getattr(limits, name):.3g} Nm: "
-                    "friction takes all that the motor can give"
+                    "friction and the drive's own loops take all that the motor can give"
                 )
         return self
 

@@ -17,6 +17,9 @@ from qpctrl.spatial import SX
 from scenarios.actuator.drive import JointDrive
 from scenarios.actuator.joint import Joint
 
+INNER_RATE = 10000.0
+"""Rate of the drives' loops [Hz] that is used where none is given."""
+
 STATES = (
     *("current", "integral"),  # A and V: of the current loop
     *("theta", "omega"),  # rad, rad/s: motor, seen at the joint
@@ -33,8 +36,8 @@ class InnerTick(NamedTuple):
 
     function: ca.Function
     states: Layout
-    parameters: Vector
-    """p: the drives' numbers, packed; they may change without building the function again."""
+    numbers: Layout
+    """Of the drives, p; they may change without building the function again."""
 
 
 def build_inner_tick(
@@ -51,12 +54,9 @@ def build_inner_tick(
         InputError: the step is too long for a winding, a spring or a loop; says which would do.
     """
     n = len(drives)
-    for drive, free in zip(drives, np.broadcast_to(mobility, n), strict=True):
-        check_rate(drive, step, float(free))
-    numbers = [
-        parameters(drive, step, float(free))
-        for drive, free in zip(drives, np.broadcast_to(mobility, n), strict=True)
-    ]
+    free = np.broadcast_to(mobility, n).tolist()
+    check_rate(drives, step, free)
+    numbers = [parameters(drive, step, y) for drive, y in zip(drives, free, strict=True)]
     layout = Layout({name: np.array([one[name] for one in numbers]) for name in numbers[0]})
     states = Layout(dict.fromkeys(STATES, np.zeros(n)))
     noises = Layout(dict.fromkeys(NOISES, np.zeros(n)))
@@ -78,35 +78,48 @@ def build_inner_tick(
         ["x_next", "tau", "voltage"],
         {"cse": True},
     )
-    return InnerTick(function, states, layout.vector())
+    return InnerTick(function, states, layout)
 
 
-def check_rate(drive: JointDrive, step: float, mobility: float) -> None:
-    """Refuse a step [s] that is too long for the drive, with the rate that would do.
+class Need(NamedTuple):
+    """What asks for short inner steps."""
+
+    longest: float
+    """Step that it still stands [s]."""
+    drive: str
+    words: str
+
+
+def check_rate(drives: Sequence[JointDrive], step: float, mobility: Sequence[float]) -> None:
+    """Refuse a step [s] that is too long for one of the drives, with the rate that would do.
 
     Raises:
         InputError: names what is too fast for it.
     """
-    winding = drive.motor.inductance / drive.motor.resistance
-    needs = {
-        f"time constant of the winding, {1e3 * winding:.3g} ms": 0.5 * winding,
-        f"current bandwidth of {drive.loops.current_bandwidth:g} Hz": 0.15
-        / drive.loops.current_bandwidth,
-        f"swing of {drive.inertia:.3g} kg m² on its back-EMF": float(
-            np.sqrt(drive.inertia * drive.motor.inductance) / drive.torque_constant
-        ),
+    needs = [need for pair in zip(drives, mobility, strict=True) for need in _needs(*pair)]
+    worst = min(needs)
+    if step > worst.longest * (1 + 1e-9):
+        rate = 1000 * np.ceil(1 / worst.longest / 1000)
+        raise InputError(
+            f"inner rate: got {1 / step:g} Hz, too slow for drive {worst.drive!r} with its "
+            f"{worst.words}; {rate:g} Hz would do"
+        )
+
+
+def _needs(drive: JointDrive, mobility: float) -> tuple[Need, ...]:
+    motor, bandwidth = drive.motor, drive.loops.current_bandwidth
+    winding, J = motor.inductance / motor.resistance, drive.inertia
+    swing = float(np.sqrt(J * motor.inductance)) / drive.torque_constant
+    found = {
+        f"winding, whose time constant is {1e3 * winding:.3g} ms": 0.5 * winding,
+        f"current bandwidth of {bandwidth:g} Hz": 0.15 / bandwidth,
+        f"swing of {J:.3g} kg m² on its back-EMF": swing,
     }
     if not drive.rigid:
-        stiff = drive.stiffness * (1 / drive.inertia + mobility)
-        name = f"stiffness of {drive.stiffness:.3g} Nm/rad between motor and joint"
-        needs[name] = 1.0 / np.sqrt(stiff)
-    for name, longest in needs.items():
-        if step > longest * (1 + 1e-9):
-            rate = 1000 * np.ceil(1 / longest / 1000)
-            raise InputError(
-                f"inner rate: got {1 / step:g} Hz, too slow for drive {drive.name!r} with its "
-                f"{name}; {rate:g} Hz would do"
-            )
+        k = drive.stiffness
+        words = f"stiffness of {k:.3g} Nm/rad between motor and joint"
+        found[words] = 1.0 / float(np.sqrt(k * (1 / J + mobility)))
+    return tuple(Need(longest, drive.name, words) for words, longest in found.items())
 
 
 def parameters(drive: JointDrive, step: float, mobility: float) -> dict[str, float]:

@@ -15,7 +15,8 @@ STOP_STIFFNESS = 1e8
 """Of a hard stop [Nm/rad]: metal on metal."""
 
 SAFE_MOBILITY = 2.0
-"""Times the mobility of a joint at home that it is taken to have anywhere: too high is safe."""
+"""Times the mobility of a joint that it is taken to have: up to this, the joints beside it may
+add to what it has alone."""
 
 
 class Joint:

@@ -7,7 +7,7 @@ its power-invariant DC equivalent.
 
 import math
 from dataclasses import dataclass, fields
-from typing import Any, final
+from typing import Any, ClassVar, final
 
 from qpctrl.errors import InputError
 
@@ -21,7 +21,7 @@ class Part:
     It may be infinite only where that is what it is by default.
     """
 
-    _positive: tuple[str, ...] = ()
+    _positive: ClassVar[tuple[str, ...]] = ()
 
     def __post_init__(self) -> None:
         for field in fields(self):  # type: ignore[arg-type]
@@ -37,6 +37,11 @@ def _check(name: str, value: Any, positive: bool, may_be_infinite: bool) -> None
     least, most = RANGE
     if value and not least <= value <= most and not (value == math.inf and may_be_infinite):
         raise InputError(f"{name}: got {value}, need a number from {least:g} to {most:g}")
+
+
+def _at_most(name: str, value: float, most: float, what: str = "") -> None:
+    if value > most:
+        raise InputError(f"{name}: got {value}, need at most {most:g}{what and f', {what}'}")
 
 
 @final
@@ -68,6 +73,10 @@ class Motor(Part):
         *("peak_current", "continuous_current", "inertia"),
     )
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _at_most("continuous_current", self.continuous_current, self.peak_current, "peak_current")
+
 
 @final
 @dataclass(frozen=True, kw_only=True)
@@ -93,8 +102,7 @@ class Gear(Part):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.efficiency > 1.0:
-            raise InputError(f"efficiency: got {self.efficiency}, need at most 1")
+        _at_most("efficiency", self.efficiency, 1.0)
 
 
 @final
@@ -102,13 +110,13 @@ class Gear(Part):
 class Friction(Part):
     """Friction of motor and gear: Coulomb, Stribeck and viscous, or LuGre where it has bristles.
 
-    g(ω) = τ_c + (τ_s − τ_c) exp(−(ω/ω_s)²). Source: CanudasDeWit1995.
+    g(ω) = τ_c + (τ_b − τ_c) exp(−(ω/ω_s)²). Source: CanudasDeWit1995.
     """
 
     coulomb: float = 0.0
     """τ_c, while it slides [Nm]."""
     static: float = 0.0
-    """τ_s, to break away [Nm]; below ``coulomb`` it counts as equal to that."""
+    """τ_b, to break away [Nm]; below ``coulomb`` it counts as equal to that."""
     stribeck_speed: float = 0.01
     """ω_s [rad/s]."""
     viscous: float = 0.0
@@ -136,6 +144,11 @@ class Spring(Part):
     """Of each encoder, per turn; 0: no steps."""
 
     _positive = ("stiffness", "hard_stop")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if 0 < self.counts < 1:
+            raise InputError(f"counts: got {self.counts}, need 0 or at least 1")
 
 
 @final
@@ -177,3 +190,7 @@ class Loops(Part):
     """Share of the modelled friction that is added to the command [1]."""
 
     _positive = ("current_bandwidth",)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _at_most("friction_feedforward", self.friction_feedforward, 1.0)

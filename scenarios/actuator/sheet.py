@@ -17,7 +17,7 @@ from scenarios.actuator.check import (
     torque_at_speed,
 )
 from scenarios.actuator.drive import JointDrive
-from scenarios.actuator.inner import check_rate
+from scenarios.actuator.inner import INNER_RATE, check_rate
 from scenarios.actuator.response import Rest, StepAnswer, Sweep, step_answer, sweep, torque_at_rest
 from scenarios.actuator.transfer import (
     TransferFunction,
@@ -26,9 +26,6 @@ from scenarios.actuator.transfer import (
     torque_transfer,
 )
 from scenarios.scenario import Criterion
-
-INNER_RATE = 10000.0
-"""Of the inner loop [Hz], where none is asked for."""
 
 FASTEST = 2e5
 """Highest rate of the inner loop [Hz]: time on the bench grows with it."""
@@ -152,7 +149,7 @@ def data_sheet(drive: JointDrive, *, inner_rate: float = INNER_RATE) -> DataShee
     if inner_rate > FASTEST:
         raise InputError(f"inner_rate: got {inner_rate:g} Hz, need at most {FASTEST:g} Hz")
     step = 1 / inner_rate
-    check_rate(drive, step, 0.0)
+    check_rate([drive], step, [0.0])
     model = torque_transfer(drive, step)
     _check_bandwidth(drive, model, inner_rate)
     swept, answer = sweep(drive, step=step), step_answer(drive, step=step)
