@@ -15,13 +15,11 @@ import polars as pl
 from qpctrl.arrays import finite_array, non_negative, positive
 from qpctrl.mode import Mode
 from qpctrl.objective import Reference, Weighted
-from scenarios.environment import Hand
 from scenarios.force_sensor import ForceSensor, SensedPlant
 from scenarios.guided import DT, FLANGE, arm_at_home
 from scenarios.metric import column, tick_metrics, whole_run_metrics
 from scenarios.panel import Panel
 from scenarios.plant import PlantState
-from scenarios.plant_compliant import CompliantPlant
 from scenarios.push import (
     Answer,
     Pushes,
@@ -124,18 +122,11 @@ class Admittance:
         robot = joints.robot
         tasks = (Weighted(self.task()), Weighted(PostureTask(q_ref=robot.home)))
         controller = options.controller(robot, (Mode(name=TASK, tasks=tasks),), DT)
-        hand = CompliantPlant(
-            robot,
-            FLANGE.frame,
-            Hand(plan.wrench),
-            dt=joints.dt,
-            substeps=1,
-            armature=joints.armature,
-        )
+        hand = plan.plant(joints, FLANGE.frame)
         return Experiment(
             robot=robot,
             controller=controller,
-            plant=SensedPlant(joints.drive(hand), self._sensor(), options.seed),
+            plant=SensedPlant(hand, self._sensor(), options.seed),
             guide=AdmittanceGuide(X_WD=X_WD, plan=plan),
             start_mode=TASK,
             q_start=robot.home,

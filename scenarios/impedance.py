@@ -17,12 +17,10 @@ from qpctrl.errors import InputError
 from qpctrl.mode import Mode
 from qpctrl.objective import Reference, Weighted
 from qpctrl.robot import Robot
-from scenarios.environment import Hand
 from scenarios.guided import DT, FLANGE, arm_at_home
 from scenarios.metric import column, tick_metrics, whole_run_metrics
 from scenarios.panel import Panel
 from scenarios.plant import PlantState
-from scenarios.plant_compliant import CompliantPlant
 from scenarios.push import (
     Pushes,
     answer_gap,
@@ -116,18 +114,11 @@ class Impedance:
         self._check_mass(robot)
         tasks = (Weighted(self.task()), Weighted(PostureTask(q_ref=robot.home)))
         controller = options.controller(robot, (Mode(name=TASK, tasks=tasks),), DT)
-        hand = CompliantPlant(
-            robot,
-            FLANGE.frame,
-            Hand(plan.wrench),
-            dt=joints.dt,
-            substeps=1,
-            armature=joints.armature,
-        )
+        hand = plan.plant(joints, FLANGE.frame)
         return Experiment(
             robot=robot,
             controller=controller,
-            plant=joints.drive(hand),
+            plant=hand,
             guide=ImpedanceGuide(X_WD=X_WD, plan=plan),
             start_mode=TASK,
             q_start=robot.home,

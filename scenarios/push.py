@@ -11,9 +11,13 @@ from scipy.signal import StateSpace, lsim
 
 from qpctrl.arrays import Matrix, Vector, Wrench
 from qpctrl.robot import Robot
+from scenarios.environment import Hand
+from scenarios.joint_level import JointLevel
 from scenarios.metric import column, rms_norm
 from scenarios.panel import Panel
 from scenarios.path import glide
+from scenarios.plant import Plant
+from scenarios.plant_compliant import CompliantPlant
 from scenarios.record import WRENCH
 from scenarios.report_trace import Curve, curve_figure
 
@@ -65,6 +69,18 @@ class Pushes:
             if window.start <= time < window.start + self.hold:
                 return window.phase
         return "rest"
+
+    def plant(self, joints: JointLevel, frame: str) -> Plant:
+        """Return the arm with a hand on its ``frame``, moved by its joints."""
+        arm = CompliantPlant(
+            joints.robot,
+            frame,
+            Hand(self.wrench),
+            dt=joints.dt,
+            substeps=1,
+            armature=joints.armature,
+        )
+        return joints.drive(arm)
 
     def wrench(self, time: float) -> Wrench:
         """Return the wrench of the hand on the robot (6) [N, Nm] at ``time`` [s]."""
