@@ -1,4 +1,4 @@
-"""The command line: ``qpctrl list | run | compare | compare-actuators | constraints | actuator``.
+"""The command line: ``qpctrl COMMAND``, one module for each command.
 
 Exit codes: 0 all of the command's own criteria hold, 1 they do not, 2 bad input (one line).
 """
@@ -17,6 +17,7 @@ from scenarios.cli_compare import compare_command
 from scenarios.cli_compare_actuators import compare_actuators_command
 from scenarios.cli_constraints import constraints_command
 from scenarios.cli_run import run_command
+from scenarios.cli_study import study_command
 from scenarios.command import parse
 from scenarios.console import console
 
@@ -29,6 +30,7 @@ commands:
   compare-actuators SCENARIO  one job with five actuators, and why they differ
   constraints NAME            natural and artificial constraints of a contact
   actuator NAME               data sheet of a joint drive, against its transfer function
+  study NAME                  what a wrong constraint costs, over a range of errors
 
 examples:
   qpctrl run eraser --force 15 --speed 0.1 --out runs/slow
@@ -72,6 +74,7 @@ def _dispatch(arguments: list[str]) -> bool:
         "compare-actuators": compare_actuators_command,
         "constraints": constraints_command,
         "actuator": actuator_command,
+        "study": study_command,
     }
     if not arguments:
         raise InputError(f"missing COMMAND; allowed: {', '.join(commands)}, --help")

@@ -1,0 +1,1 @@
+"""Studies of constraint uncertainty: what happens when the controller's A is wrong."""
