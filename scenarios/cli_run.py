@@ -53,13 +53,13 @@ def run_command(arguments: list[str]) -> bool:
         raise unknown_name("scenario", name, SCENARIOS)
     kind = SCENARIOS[name]
     given: Any = parse(
-        merged(f"Run{name.title()}", {"scenario": kind, "options": Options}, Running),
+        merged(f"Run{name.title()}", {"scenario": kind, "run": Options}, Running),
         arguments[1:],
         prog=f"qpctrl run {name}",
         description=f"{kind.__doc__}\n\nExample: qpctrl run {name} --out runs/{name}",
     )
     folder = given.out or Path("runs") / name
-    outcome = _watched_run(given.scenario, given.options, folder)
+    outcome = _watched_run(given.scenario, given.run, folder)
     if given.json:
         print(json.dumps(outcome.summary, indent=2, ensure_ascii=False))
     else:
