@@ -1,5 +1,6 @@
 """Drives under a controller: what it believes, what it may ask, and what arrives."""
 
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -13,6 +14,7 @@ from polars.testing import assert_frame_equal
 from runs import ran
 
 from qpctrl import FaceOnPlane, InputError, Robot, TaskSpace
+from qpctrl.compiler import COMPILERS
 from qpctrl.robot import from_pinocchio
 from scenarios.actuator.catalogue import load_drive
 from scenarios.joint_level import CAPSTAN, JointLevel, with_armature
@@ -140,6 +142,13 @@ def test_two_runs_are_the_same_and_noise_has_a_seed() -> None:
     timeless = pl.exclude("tick_us")
     assert_frame_equal(first.table.select(timeless), again.table.select(timeless))
     assert not first.table["current.joint1"].equals(other.table["current.joint1"])
+
+
+@pytest.mark.skipif(not any(map(shutil.which, COMPILERS)), reason="needs a C compiler on PATH")
+def test_a_compiled_run_has_the_same_ticks() -> None:
+    flags = ("eraser", "--duration", "0.2", "--actuator", "strain-gauge", "--compiled")
+    tables = [ran(*flags, given).table.select(pl.exclude("tick_us")) for given in ("no", "yes")]
+    assert_frame_equal(*tables, check_exact=True)
 
 
 NOISY = ("--actuator", "strain-gauge", "--compiled", "no")
