@@ -16,6 +16,9 @@ from scenarios.plant import JointReading, PlantState, SteppedPlant
 CONFIGURATIONS = 300
 """At which the largest mobility of a joint is looked for."""
 
+MOBILITY_PERIODS = 10
+"""Periods of the controller for which a mobility is taken to stay; it changes with the posture."""
+
 NOISE_BLOCK = 256
 """Periods of the controller whose noise is drawn at once."""
 
@@ -80,7 +83,7 @@ class ActuatedPlant:
         self._in, self._out = self._evaluate.inputs, self._evaluate.outputs
         self._in["p"][:] = tick.numbers.vector()
         self._free = tick.numbers.views(self._in["p"])["mobility"]
-        self._mobility, self._q = mobility, robot.home
+        self._mobility, self._q, self._periods = mobility, robot.home, 0
         self._state = tick.states.views(self._in["x"])
         self._joint = np.argmax(robot.B != 0, axis=0)  # which joint each actuator moves
         self._all_driven = np.array_equal(robot.B, np.eye(robot.nv))
@@ -99,7 +102,7 @@ class ActuatedPlant:
         for name, value in initial_state(self._drives, q[self._joint], hold).items():
             self._state[name][:] = value
         state = self._plant.reset(q)
-        self._q = state.q
+        self._q, self._periods = state.q, 0
         self._in["q"][...], self._in["v"][...] = state.q[self._joint], state.v[self._joint]
         return state._replace(joints=self._reading(hold, hold))
 
@@ -108,7 +111,10 @@ class ActuatedPlant:
         evaluate, advance, joint = self._evaluate, self._plant.advance, self._joint
         x, q_in, v_in, noise_in = (self._in[name] for name in ("x", "q", "v", "noise"))
         x_next, torque = self._out["x_next"], self._out["tau"]
-        self._in["tau_cmd"][...], self._free[...] = tau[joint], self._mobility.at(self._q)
+        self._in["tau_cmd"][...] = tau[joint]
+        if self._periods % MOBILITY_PERIODS == 0:
+            self._free[...] = self._mobility.at(self._q)
+        self._periods += 1
         self._state["delivered"][...] = self._state["limited"][...] = 0.0
         for noise in self._draw():
             noise_in[...] = noise
