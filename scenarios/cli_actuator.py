@@ -20,7 +20,7 @@ from scenarios.actuator.transfer import torque_transfer
 from scenarios.command import parse
 from scenarios.console import console
 from scenarios.report_style import number
-from scenarios.run import versions, writable_folder
+from scenarios.run import plain, versions, writable_folder
 
 FILES = ("summary.json", "actuator.html")
 """What the command leaves behind."""
@@ -117,7 +117,7 @@ def summarise(sheet: DataSheet) -> dict[str, Any]:
         "config": {"inner_rate": sheet.inner_rate, **drive},
         "versions": versions(),
     }
-    return _plain(found)
+    return plain(found)
 
 
 def _list(arguments: list[str]) -> bool:
@@ -141,7 +141,7 @@ def _list(arguments: list[str]) -> bool:
         for drive in drives
     ]
     if listing.json:
-        print(json.dumps(_plain(rows), indent=2, ensure_ascii=False))
+        print(json.dumps(plain(rows), indent=2, ensure_ascii=False))
         return True
     table = Table(
         Column("drive", no_wrap=True),
@@ -214,14 +214,3 @@ def _write(folder: Path, summary: dict[str, Any], sheet: DataSheet) -> None:
             shutil.rmtree(staging, ignore_errors=True)
     except OSError as error:
         raise InputError(f"output folder {str(folder)!r}: {error.strerror}") from error
-
-
-def _plain(value: Any) -> Any:
-    """Return ``value`` as JSON knows it."""
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value

@@ -1,23 +1,20 @@
 """Runs of scenarios side by side, each worker a process of its own."""
 
 import contextlib
-import multiprocessing
 import os
-import signal
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor, as_completed
 from pathlib import Path
 from typing import NamedTuple
 
 from qpctrl.errors import InputError
+from scenarios.processes import worker_pool
 from scenarios.record import LIMITED, fallback_count
 from scenarios.run import run_scenario
 from scenarios.scenario import Options, Scenario
 
 WORKERS = 2
 """Processes that run at once, at most."""
-
-THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "POLARS_MAX_THREADS")
 
 
 class Job(NamedTuple):
@@ -49,27 +46,9 @@ class Finding(NamedTuple):
         return float("nan") if value is None else value
 
 
-@contextlib.contextmanager
-def workers() -> Iterator[Executor]:
-    """Yield processes that wait for jobs, one thread each; they end with the block."""
-    before = {name: os.environ.get(name) for name in THREADS}
-    os.environ.update(dict.fromkeys(THREADS, "1"))  # read when a worker starts
-    try:
-        pool = ProcessPoolExecutor(
-            min(WORKERS, os.cpu_count() or 1),
-            mp_context=multiprocessing.get_context("spawn"),
-            initializer=_end_with_interrupt,
-        )
-        try:
-            yield pool
-        finally:
-            pool.shutdown(cancel_futures=True)
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
+def workers() -> contextlib.AbstractContextManager[Executor]:
+    """Return processes that wait for jobs, one thread each; they end with the block."""
+    return worker_pool(min(WORKERS, os.cpu_count() or 1))
 
 
 def run_jobs(
@@ -104,8 +83,3 @@ def run_job(job: Job) -> Finding | InputError:
         torque_limited=motor > 0 or bool(table["active"].str.contains("torque").any()),
         fallback_ticks=fallback_count(table),
     )
-
-
-def _end_with_interrupt() -> None:
-    """Let an interrupt end a worker without a word; who started it says what is to be said."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)

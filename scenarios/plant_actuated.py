@@ -76,9 +76,8 @@ class ActuatedPlant:
             InputError: the inner loop is too slow for a drive.
         """
         self._plant, self._robot, self._drives = plant, robot, tuple(drives)
-        self._steps, self._seed, self._step = steps, seed, step
+        self._steps, self._seed = steps, seed
         tick = build_inner_tick(drives, step, mobility.largest())
-        self._tick = tick
         self._evaluate = Evaluator(compiled(tick.function, compile=compile).function)
         self._in, self._out = self._evaluate.inputs, self._evaluate.outputs
         self._in["p"][:] = tick.numbers.vector()

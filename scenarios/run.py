@@ -64,7 +64,7 @@ def run_scenario(
         "seed": options.seed,
         "versions": versions(),
     }
-    outcome = Outcome(experiment=experiment, table=table, summary=_plain(summary))
+    outcome = Outcome(experiment=experiment, table=table, summary=plain(summary))
     if out is not None:
         write_outcome(scenario, outcome, out)
     return outcome
@@ -121,12 +121,12 @@ def _reason(error: Exception) -> str:
     return getattr(error, "strerror", None) or " ".join(str(error).split())
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
     """Return ``value`` as JSON knows it; NaN and infinities become null."""
     if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
+        return {key: plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
+        return [plain(item) for item in value]
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     return value

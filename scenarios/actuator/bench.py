@@ -12,6 +12,7 @@ import numpy as np
 
 from qpctrl.arrays import Array, Matrix, Vector
 from qpctrl.evaluator import Evaluator
+from scenarios.actuator.ablation import without
 from scenarios.actuator.drive import JointDrive
 from scenarios.actuator.inner import NOISES, build_inner_tick, initial_state
 
@@ -60,17 +61,11 @@ class Record(NamedTuple):
 
 def linear_part(drive: JointDrive) -> JointDrive:
     """Return the drive without noise, steps of its readings, Coulomb friction, play and losses."""
-    friction, spring, gauge = drive.friction, drive.spring, drive.strain_gauge
-    return replace(
-        drive,
-        motor=replace(drive.motor, current_noise=0.0, current_resolution=0.0),
-        gear=replace(drive.gear, backlash=0.0, efficiency=1.0),
-        friction=replace(
-            friction, coulomb=0.0, static=0.0, bristle_stiffness=0.0, bristle_damping=0.0
-        ),
-        spring=spring and replace(spring, counts=0.0),
-        strain_gauge=gauge and replace(gauge, noise=0.0, bias=0.0, resolution=0.0),
+    bare = without(without(drive, "noise"), "backlash")
+    smooth = replace(
+        drive.friction, coulomb=0.0, static=0.0, bristle_stiffness=0.0, bristle_damping=0.0
     )
+    return replace(bare, gear=replace(bare.gear, efficiency=1.0), friction=smooth)
 
 
 def constant(tau: Array | float, steps: int, n: int = 1) -> Matrix:

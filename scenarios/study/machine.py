@@ -1,20 +1,18 @@
 """Where rollouts run: one interface, and two machines behind it."""
 
-import contextlib
 import multiprocessing
 import os
-import signal
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from multiprocessing import connection
 from typing import Protocol, TypeVar
 
 from qpctrl.errors import InputError, QpctrlError
-from scenarios.job import THREADS
+from scenarios.processes import end_with_interrupt, worker_pool
 
 C = TypeVar("C")
 R = TypeVar("R")
@@ -78,7 +76,7 @@ class ProcessPool:
         while deaths < GIVE_UP:
             running: dict[Future[R], C] = {}
             try:
-                with _pool(self.workers) as pool:
+                with worker_pool(self.workers, _begin) as pool:
                     while True:
                         while len(running) < WINDOW * self.workers:
                             chunk = again.popleft() if again else next(source, None)
@@ -100,29 +98,9 @@ class ProcessPool:
         raise MachineError(f"workers died {GIVE_UP} times in a row; is there too little memory?")
 
 
-@contextlib.contextmanager
-def _pool(workers: int) -> Iterator[ProcessPoolExecutor]:
-    before = {name: os.environ.get(name) for name in THREADS}
-    os.environ.update(dict.fromkeys(THREADS, "1"))  # read when a worker starts
-    try:
-        pool = ProcessPoolExecutor(
-            workers, mp_context=multiprocessing.get_context("spawn"), initializer=_begin
-        )
-        try:
-            yield pool
-        finally:
-            pool.shutdown(cancel_futures=True)
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
-
-
 def _begin() -> None:
     """Let a worker end without a word with an interrupt, and with the process that started it."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    end_with_interrupt()
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
 

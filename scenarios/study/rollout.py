@@ -10,6 +10,7 @@ import numpy as np
 import polars as pl
 
 from qpctrl.arrays import Vector
+from scenarios.metric import rms
 from scenarios.study.study import Measures, Study, Task
 
 SATURATED_SHARE = 0.01  # of the ticks; fewer are passing, as at a start
@@ -49,7 +50,7 @@ def force_measures(force: Vector, set_point: float) -> dict[str, float]:
     """
     error = force - set_point
     size = np.abs(error)
-    rmse = float(np.sqrt(np.mean(error**2)))
+    rmse = rms(error)
     return {
         "force_mae_N": float(size.mean()),
         "force_rmse_N": rmse,
