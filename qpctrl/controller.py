@@ -62,7 +62,8 @@ class Controller:
     """A whole-body controller for one robot and a set of modes.
 
     Frozen data in, frozen data out: all that one tick leaves to the next is in `Memory`, but
-    for the solver's warm start and the references of tasks that are not given again.
+    for the solver's warm start and the references of tasks that are not given again; `reset`
+    forgets these.
     """
 
     def __init__(
@@ -127,6 +128,14 @@ class Controller:
         hold = self._fallback.torque(q, rest)
         tau = self._limited(engine, hold, hold, rest)
         return Memory(mode, engine.tick.memory.vector(), tau, -math.inf, q)
+
+    def reset(self) -> None:
+        """Forget warm starts, references and changed inputs of every mode.
+
+        A run from a new `start` then gives the same bits as that of a new controller.
+        """
+        for engine in self.engines.values():
+            engine.reset()
 
     def step(
         self,

@@ -87,12 +87,18 @@ class Engine:
         check = compiled(certificate.build_certificate(self.tick), compile=compile).function
         self._certify = Evaluator(check, {**self.terms, "x": x, "y": y, "z": z})
         self._u = self._evaluate.inputs["u"]
-        self._u[:] = self.tick.inputs.vector()
         self.inputs = self.tick.inputs.views(self._u)
-        self.inputs["dt"][...] = dt
+        self._dt = dt
+        self.reset()
         self.qp = QpData(*(self.terms[name] for name in QpData._fields))
         self._torque_rows = self.terms["C"][: robot.nu]
         self._k = self.tick.mode_rows
+
+    def reset(self) -> None:
+        """Forget references, changed inputs and the solver's warm start."""
+        self._u[:] = self.tick.inputs.vector()
+        self.inputs["dt"][...] = self._dt
+        self._solver.reset()
 
     def demand(self, references: Mapping[str, Reference]) -> None:
         """Refuse to enter the mode without the references that have no safe default.

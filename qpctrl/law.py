@@ -48,11 +48,19 @@ class Split:
     @property
     def curvature_wrench(self) -> SX:
         """Aᵀ S⁻¹ (Ȧ V − v̇_c) (n) [N, Nm]: what the textbook law presses too much."""
-        return self.A.T @ self._solve(self.A_dot_V - self.v_c_dot)
+        return self.held_wrench(self.A_dot_V - self.v_c_dot)
 
     def multiplier(self, F_cmd: SX) -> SX:
         """Return λ (k) that the hybrid law produces for the commanded wrench (n)."""
         return self._solve(self.A @ self._Lambda_inv @ F_cmd)
+
+    def held_wrench(self, acceleration: SX) -> SX:
+        """Return Aᵀ S⁻¹ x (n) [N, Nm], the wrench that changes A V̇ by ``acceleration`` x (k)."""
+        return self.A.T @ self._solve(acceleration)
+
+    def held_inertia(self, J: SX) -> SX:
+        """Return Jᵀ Aᵀ S⁻¹ A J (nv×nv), the part of M that A's rows hold."""
+        return self._S.congruence(ca.densify(self.A @ J)) if self._S else ca.SX(*(2 * J.shape[1:]))
 
     def _solve(self, rhs: SX) -> SX:
         return self._S.solve(rhs) if self._S else ca.SX(0, rhs.shape[1])

@@ -17,11 +17,15 @@ class Mode:
     constraints: tuple[Constraint, ...] = ()
     contact_limits: tuple[WrenchLimit, ...] = ()
     """What the contacts can carry; each acts on the constraints of its task space."""
+    slack: float | None = None
+    """Weight w_s of the constraints as a cost ½ w_s ‖A V̇ + Ȧ V − v̇_c‖²_{S⁻¹} that can give way
+    when a limit binds, and the input ``slack.weight`` then; None where they hold exactly."""
 
     def __post_init__(self) -> None:
         names = [weighted.task.name for weighted in self.tasks]
         names += [constraint.name for constraint in self.constraints]
         names += [limit.name for limit in self.contact_limits]
+        names += ["slack"] if self.slack is not None else []
         if len(set(names)) < len(names):
             raise InputError(f"mode {self.name!r}: names must differ, got {', '.join(names)}")
         if not self.tasks:
@@ -33,8 +37,14 @@ class Mode:
                     f"mode {self.name!r}: contact limit {limit.name!r} has no constraint on its "
                     "task space"
                 )
+        if self.slack is not None and not self.constraints:
+            raise InputError(f"mode {self.name!r}: slack needs a constraint that can give way")
         for task, weight in self.tasks:
-            if not 1e-6 <= weight <= 1e6:
-                raise InputError(
-                    f"weight of task {task.name!r}: got {weight}, need a number from 1e-6 to 1e6"
-                )
+            _check_weight(weight, f"weight of task {task.name!r}")
+        if self.slack is not None:
+            _check_weight(self.slack, f"slack of mode {self.name!r}")
+
+
+def _check_weight(weight: float, name: str) -> None:
+    if not 1e-6 <= weight <= 1e6:
+        raise InputError(f"{name}: got {weight}, need a number from 1e-6 to 1e6")

@@ -170,6 +170,8 @@ def _input_defaults(robot: Robot, mode: Mode) -> dict[str, Array]:
     for task, weight in mode.tasks:
         defaults[f"{task.name}.weight"] = np.array(weight)
         defaults |= {f"{task.name}.{key}": value for key, value in task.inputs().items()}
+    if mode.slack is not None:
+        defaults["slack.weight"] = np.array(mode.slack)
     for constraint in mode.constraints:
         defaults |= {f"{constraint.name}.{key}": v for key, v in constraint.inputs().items()}
     for contact in mode.contact_limits:

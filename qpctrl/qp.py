@@ -4,6 +4,9 @@
     s.t. M a + h + Jᵀ Aᵀ λ = B τ,   A (J a + J̇v) + Ȧ V = v̇_c,   bounds on τ and a,
           λ ≥ 0 where the contact is one-sided, W Aᵀ λ ≤ what it can carry
 
+A mode with `slack` has no constraint rows; ½ w_s ‖A (J a + J̇v) + Ȧ V − v̇_c‖²_{S⁻¹} is among its
+costs in a.
+
 `full` has x = (a, τ, λ). `reduced` has x = (a, λ): the driven part of the dynamics turns the
 torque bounds into rows, and what B leaves undriven stays as an equality.
 """
@@ -44,6 +47,8 @@ class QpExpressions(NamedTuple):
 class RowNames(NamedTuple):
     """What each row of the QP is."""
 
+    constraint: tuple[str, ...]
+    """The k rows of A in the order of λ; among the equalities unless they have slack."""
     equality: tuple[str, ...]
     inequality: tuple[str, ...]
 
@@ -65,6 +70,8 @@ class QpTerms:
     """Constraint rows on joint acceleration (k×nv), all constraints stacked."""
     b_c: SX
     """v̇_c − Ȧ V − A J̇v (k)."""
+    slack: bool
+    """Whether ``AJ a − b_c`` is a cost, part of H_a and g_a, and not zero."""
     B: Matrix
     torque: Bounds
     acceleration: Bounds
@@ -87,6 +94,11 @@ class QpTerms:
         return len(self.constraint_rows)
 
     @property
+    def held(self) -> int:
+        """Number of constraint rows that are equalities."""
+        return 0 if self.slack else self.k
+
+    @property
     def nu(self) -> int:
         """Number of torques."""
         return len(self.actuator_names)
@@ -94,40 +106,39 @@ class QpTerms:
 
 def reduced_qp(terms: QpTerms) -> tuple[QpExpressions, RowNames]:
     """Return the QP in (a, λ)."""
-    driven = np.linalg.pinv(terms.B)
+    driven, held = np.linalg.pinv(terms.B), terms.held
     undriven = _complement(terms.B)
     dynamics = ca.horzcat(terms.M, terms.AJ.T)
     T, t = ca.SX(driven) @ dynamics, ca.SX(driven) @ terms.h
-    A = ca.vertcat(ca.horzcat(terms.AJ, ca.SX.zeros(terms.k, terms.k)), ca.SX(undriven) @ dynamics)
-    b = ca.vertcat(terms.b_c, -(ca.SX(undriven) @ terms.h))
+    rows = ca.horzcat(terms.AJ[:held, :], ca.SX.zeros(held, terms.k))
+    A = ca.vertcat(rows, ca.SX(undriven) @ dynamics)
+    b = ca.vertcat(terms.b_c[:held, :], -(ca.SX(undriven) @ terms.h))
     torque = Bounds(terms.torque.lb - t, terms.torque.ub - t)
     x, y = _without_inequalities(terms, A, b)
     qp = _arrange(terms, ca.SX(0, 0), A, b, T, torque)
-    names = RowNames(
-        terms.constraint_rows + tuple(f"undriven {i}" for i in range(len(undriven))),
-        _inequality_names(terms),
+    return qp._replace(t=t, x_eq=x, y_eq=y), _names(
+        terms, tuple(f"undriven {i}" for i in range(len(undriven)))
     )
-    return qp._replace(t=t, x_eq=x, y_eq=y), names
 
 
 def full_qp(terms: QpTerms) -> tuple[QpExpressions, RowNames]:
     """Return the QP in (a, τ, λ), dynamics and all."""
-    nu, k = terms.nu, terms.k
+    nu, k, held = terms.nu, terms.k, terms.held
     select = ca.horzcat(ca.SX.zeros(nu, terms.nv), ca.SX.eye(nu), ca.SX.zeros(nu, k))
     A = ca.vertcat(
-        ca.horzcat(terms.AJ, ca.SX.zeros(k, nu + k)),
+        ca.horzcat(terms.AJ[:held, :], ca.SX.zeros(held, nu + k)),
         ca.horzcat(terms.M, -ca.SX(terms.B), terms.AJ.T),
     )
-    b = ca.vertcat(terms.b_c, -terms.h)
+    b = ca.vertcat(terms.b_c[:held, :], -terms.h)
     reduced, _ = reduced_qp(terms)
     a, lam = ca.vertsplit(reduced.x_eq, [0, terms.nv, terms.nv + k])
     tau = reduced.C[:nu, :] @ reduced.x_eq + reduced.t
-    y_c, y_undriven = ca.vertsplit(reduced.y_eq, [0, k, k + terms.nv - nu])
+    y_c, y_undriven = ca.vertsplit(reduced.y_eq, [0, held, held + terms.nv - nu])
     y = ca.vertcat(y_c, ca.SX(_complement(terms.B)).T @ y_undriven)
     qp = _arrange(terms, ca.SX.zeros(nu, nu), A, b, select, terms.torque)
     dynamics = tuple(f"dynamics {name}" for name in terms.joint_names)
     whole = qp._replace(t=ca.SX.zeros(nu), x_eq=ca.vertcat(a, tau, lam), y_eq=y)
-    return whole, RowNames(terms.constraint_rows + dynamics, _inequality_names(terms))
+    return whole, _names(terms, dynamics)
 
 
 FORMS = {"reduced": reduced_qp, "full": full_qp}
@@ -186,14 +197,16 @@ def _without_inequalities(terms: QpTerms, A: SX, b: SX) -> tuple[SX, SX]:
     return x, y
 
 
-def _inequality_names(terms: QpTerms) -> tuple[str, ...]:
-    pushes = zip(terms.constraint_rows, terms.unilateral, strict=True)
-    return (
+def _names(terms: QpTerms, dynamics: tuple[str, ...]) -> RowNames:
+    rows = terms.constraint_rows
+    pushes = zip(rows, terms.unilateral, strict=True)
+    inequality = (
         *(f"torque {name}" for name in terms.actuator_names),
         *(f"acceleration {name}" for name in terms.joint_names),
         *(f"unilateral {row}" for row, one_sided in pushes if one_sided),
         *(f"contact {row}" for row in terms.contact_rows),
     )
+    return RowNames(rows, rows[: terms.held] + dynamics, inequality)
 
 
 def _complement(B: Matrix) -> Matrix:

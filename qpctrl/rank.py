@@ -25,7 +25,7 @@ def dependent_rows(tick: Tick, row_pivots: Vector) -> tuple[str, ...]:
     if not bad.any():
         return ()
     first = int(np.argmax(bad))  # pivots after a vanishing one mean nothing
-    return (tick.rows.equality[first],)
+    return (tick.rows.constraint[first],)
 
 
 def independent(robot: Robot, mode: Mode, treatment: DependentRows) -> Mode:
@@ -77,8 +77,9 @@ def _at_home(robot: Robot, mode: Mode) -> tuple[Tick, dict[str, Array]]:
     evaluate.inputs["u"][:] = tick.inputs.vector()
     u = tick.inputs.views(evaluate.inputs["u"])
     u["mu"][...] = 1.0
-    for task, _ in mode.tasks:
-        u[f"{task.name}.weight"][...] = 1.0
+    for name in u:
+        if name.endswith(".weight"):
+            u[name][...] = 1.0
     evaluate()
     return tick, evaluate.outputs
 

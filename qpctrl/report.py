@@ -36,6 +36,7 @@ class Yield(NamedTuple):
     """How far one task gave way, against what the closed form would have given it."""
 
     task: str
+    """Its name; ``slack`` for the constraints of a mode with slack, whose axes are their rows."""
     amount: Vector
     """Difference for each axis or joint of the task."""
     axes: tuple[str, ...]
@@ -127,7 +128,8 @@ class TickReport(NamedTuple):
         for lost in self.yields:
             axis, amount, unit = lost.largest()
             if abs(amount) > NEGLIGIBLE:
-                said.append(f"task {lost.task} gave way by {amount:+.3g} {unit} along {axis}")
+                who = lost.task if lost.task == "slack" else f"task {lost.task}"
+                said.append(f"{who} gave way by {amount:+.3g} {unit} along {axis}")
         if self.curvature > 1e-12:
             said.append(
                 f"textbook law differs by its curvature term, {self.curvature:.1e} of max |τ|"

@@ -65,6 +65,9 @@ class Solver(Protocol):
     def solve(self, qp: QpData) -> Solution:
         """Return the solver's answer; accuracy is judged by the caller."""
 
+    def reset(self) -> None:
+        """Forget what earlier calls left behind: the next answer is that of a new solver."""
+
 
 class ProxSuite:
     """ProxQP on one object: initialised once, then updated and warm-started.
@@ -92,6 +95,10 @@ class ProxSuite:
             return self._last_resort.solve(qp)
         x, y, z = self._point
         return Solution(x.copy(), y.copy(), z.copy())
+
+    def reset(self) -> None:
+        """Forget the last solution: the next QP is started afresh."""
+        self._qp = None
 
     def _start(self, qp: QpData) -> None:
         self._qp = solver = dense.QP(len(qp.g), len(qp.b), len(qp.lb))
@@ -139,6 +146,9 @@ class QpSolvers:
         y = np.zeros(len(b)) if found.y is None else np.asarray(found.y)
         z[fixed] = y[len(qp.b) :]
         return Solution(np.asarray(found.x), y[: len(qp.b)], z)
+
+    def reset(self) -> None:
+        """Forget nothing: every call starts afresh."""
 
 
 def _nothing(qp: QpData) -> Solution:

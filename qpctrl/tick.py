@@ -20,6 +20,7 @@ from qpctrl.model import ModeModel
 from qpctrl.objective import ForceObjective, MotionObjective, PostureObjective
 from qpctrl.qp import FORMS, QpExpressions, QpTerms, RowNames
 from qpctrl.robot import Robot
+from qpctrl.slack import row_units, with_slack
 from qpctrl.space import TaskSpace
 from qpctrl.spatial import SX
 
@@ -35,7 +36,7 @@ MATRICES = ("H", "A", "C", "G")
 
 
 class Give(NamedTuple):
-    """Which rows of ``G x`` measure how far one task can give way."""
+    """Which rows of ``G x`` measure how far one task, or the slack, can give way."""
 
     task: str
     rows: slice
@@ -77,9 +78,10 @@ def build_tick(robot: Robot, mode: Mode, form: str = "reduced") -> Tick:
     """
     model = ModeModel(robot, mode)
     _check_determined(model)
-    qp, rows = FORMS[form](_qp_terms(model))
+    terms = _qp_terms(model)
+    qp, rows = FORMS[form](terms)
     law = _law(model)
-    gives, G = _gives(model, form)
+    gives, G = _gives(model, form, terms)
     signals = {
         f"{item.task.name}.{key}": value
         for item in model.tasks
@@ -97,10 +99,10 @@ def build_tick(robot: Robot, mode: Mode, form: str = "reduced") -> Tick:
         "dependent": _count_below(pivots, PIVOT_RATIO),
         "signals": _stack(ca.vec(ca.densify(value)) for value in signals.values()),
     }
-    for i, (terms, split) in enumerate(
+    for i, (space, split) in enumerate(
         zip(model.spaces.values(), model.splits.values(), strict=True)
     ):
-        outputs |= {f"Lambda{i}": terms.Lambda, f"eta{i}": terms.eta(model.h)}
+        outputs |= {f"Lambda{i}": space.Lambda, f"eta{i}": space.eta(model.h)}
         outputs |= {f"P{i}": split.P, f"A{i}": split.A}
     function = ca.Function(
         f"tick_{mode.name}",
@@ -125,10 +127,10 @@ def build_tick(robot: Robot, mode: Mode, form: str = "reduced") -> Tick:
     )
 
 
-def _qp_terms(model: ModeModel) -> QpTerms:
-    nv, u = model.robot.nv, model.u
+def _costs_in_a(model: ModeModel) -> tuple[SX, SX]:
+    """Return H_a (nv×nv) and g_a (nv) of motion, posture and, where there is any, slack."""
+    nv = model.robot.nv
     H_a, g_a = ca.SX(nv, nv), ca.SX(nv, 1)
-    force_cost = {space: (ca.SX(0), ca.SX.zeros(space.n)) for space in model.spaces}
     for item in model.tasks:
         objective, weight = item.written.objective, item.weight
         if isinstance(objective, PostureObjective):
@@ -138,8 +140,17 @@ def _qp_terms(model: ModeModel) -> QpTerms:
             terms = model.spaces[item.task.space]
             H_a += weight * terms.task_inertia
             g_a += weight * (terms.J.T @ (terms.Lambda @ (terms.J_dot_v - objective.a_cmd)))
-        elif isinstance(objective, ForceObjective) and item.task.space:
-            force_cost[item.task.space] = (weight, objective.F_cmd)
+    return (H_a, g_a) if model.mode.slack is None else with_slack(model, H_a, g_a)
+
+
+def _qp_terms(model: ModeModel) -> QpTerms:
+    nv, u = model.robot.nv, model.u
+    H_a, g_a = _costs_in_a(model)
+    force_cost = {space: (ca.SX(0), ca.SX.zeros(space.n)) for space in model.spaces}
+    for item in model.tasks:
+        objective = item.written.objective
+        if isinstance(objective, ForceObjective) and item.task.space:
+            force_cost[item.task.space] = (item.weight, objective.F_cmd)
     H_lam, g_lam, AJ, b_c = [], [ca.SX(0, 1)], [ca.SX(0, nv)], [ca.SX(0, 1)]
     contact = [model.contact_rows(space) for space in model.spaces]
     for space, split in model.splits.items():
@@ -165,6 +176,7 @@ def _qp_terms(model: ModeModel) -> QpTerms:
         h=model.h,
         AJ=ca.vertcat(*AJ),
         b_c=ca.vertcat(*b_c),
+        slack=model.mode.slack is not None,
         B=model.robot.B,
         torque=limit.torque_bounds(
             limits, u["dt"], limit.actuator_speed(model.robot, model.dynamics.v)
@@ -223,8 +235,8 @@ def _law_outputs(law: LawTorque | None, form: str, qp: QpExpressions) -> dict[st
     }
 
 
-def _gives(model: ModeModel, form: str) -> tuple[tuple[Give, ...], SX]:
-    """Return rows G with ``G x`` = what each task gets: J a, Aᵀ λ, or M_N a."""
+def _gives(model: ModeModel, form: str, terms: QpTerms) -> tuple[tuple[Give, ...], SX]:
+    """Return rows G with ``G x`` = what each task gets: J a, Aᵀ λ, or M_N a; A J a with slack."""
     nv = model.robot.nv
     nu = model.robot.nu if form == "full" else 0
     k_all = sum(split.k for split in model.splits.values())
@@ -249,6 +261,10 @@ def _gives(model: ModeModel, form: str) -> tuple[tuple[Give, ...], SX]:
         blocks.append(block)
         gives.append(Give(item.task.name, slice(start, start + len(axes)), axes, units))
         start += len(axes)
+    if terms.slack:
+        blocks.append(ca.horzcat(terms.AJ, ca.SX(k_all, nu + k_all)))
+        rows = slice(start, start + k_all)
+        gives.append(Give("slack", rows, terms.constraint_rows, row_units(model)))
     return tuple(gives), ca.vertcat(*blocks)
 
 

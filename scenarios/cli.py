@@ -16,6 +16,7 @@ from scenarios.cli_actuator import actuator_command
 from scenarios.cli_compare import compare_command
 from scenarios.cli_compare_actuators import compare_actuators_command
 from scenarios.cli_constraints import constraints_command
+from scenarios.cli_report import report_command
 from scenarios.cli_run import run_command
 from scenarios.cli_study import study_command
 from scenarios.command import parse
@@ -31,6 +32,7 @@ commands:
   constraints NAME            natural and artificial constraints of a contact
   actuator NAME               data sheet of a joint drive, against its transfer function
   study NAME                  what a wrong constraint costs, over a range of errors
+  report DIR                  the report of a study once more, finished or not
 
 examples:
   qpctrl run eraser --force 15 --speed 0.1 --out runs/slow
@@ -39,6 +41,8 @@ examples:
   qpctrl compare-actuators eraser
   qpctrl constraints hinge
   qpctrl actuator orange-elastic
+  qpctrl study tilt
+  qpctrl report runs/study-tilt
 """
 
 
@@ -75,6 +79,7 @@ def _dispatch(arguments: list[str]) -> bool:
         "constraints": constraints_command,
         "actuator": actuator_command,
         "study": study_command,
+        "report": report_command,
     }
     if not arguments:
         raise InputError(f"missing COMMAND; allowed: {', '.join(commands)}, --help")

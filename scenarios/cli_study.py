@@ -1,4 +1,4 @@
-"""The command ``qpctrl study NAME | status DIR``."""
+"""The command ``qpctrl study NAME | FILE.toml | list | status DIR | query DIR SQL``."""
 
 import contextlib
 import dataclasses
@@ -12,120 +12,264 @@ from rich import progress
 from rich.console import Console
 from rich.table import Table
 
-from qpctrl.errors import InputError, unknown_name
-from scenarios.command import interactive, merged, parse
+from qpctrl.errors import InputError
+from scenarios.cli_study_print import print_campaign, print_rows
+from scenarios.command import interactive, parse
 from scenarios.console import console
-from scenarios.study.campaign import Campaign, run_study, status
-from scenarios.study.catalogue import STUDIES
-from scenarios.study.machine import ProcessPool
+from scenarios.study.campaign import Progress, run_study, status
+from scenarios.study.cluster import dask_machine, jobqueue_machine
+from scenarios.study.machine import Machine, ProcessPool
+from scenarios.study.plan import Plan
+from scenarios.study.query import query
+from scenarios.study.rollout import Tracing
 from scenarios.study.store import json_text
-from scenarios.study.study import plan_study
+from scenarios.study.study import Study
+from scenarios.study.study_file import find_study, read_study, ready_studies, study_of
 
-USAGE = f"""usage: qpctrl study NAME [--help]
+USAGE = f"""usage: qpctrl study NAME|FILE.toml [--help]
+       qpctrl study list
        qpctrl study status DIR
+       qpctrl study query DIR "SQL"
 
-studies: {", ".join(STUDIES)}
+studies: {", ".join(ready_studies())}
 
 examples:
-  qpctrl study tilt --levels 9 --low -10 --high 10 --controllers qp textbook
+  qpctrl study tilt --size 21 --range tilt=-10:10 --controllers qp textbook
   qpctrl study tilt --out runs/tilt --resume
-  qpctrl study status runs/tilt
+  qpctrl study tilt --toml > mine.toml
+  qpctrl study mine.toml --workers 4
+  qpctrl study query runs/tilt "SELECT controller, max(force_ratio) FROM rows GROUP BY controller"
 """
-
-MOST_ROWS = 40
-"""Rollouts that are printed; the files hold all of them."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Running:
-    """Flags that are the same for every study."""
+    """Flags of ``study NAME``."""
 
+    controllers: tuple[str, ...] = ()
+    """Controllers that run side by side; default: those of the study."""
+    size: int | None = None
+    """Size of the design: levels, points or trajectories; default: that of the study."""
+    repeats: int | None = None
+    """Rollouts at each point with other random numbers; default: that of the study."""
+    set: tuple[str, ...] = ()
+    """Parameters with another value, each NAME=VALUE."""
+    range: tuple[str, ...] = ()
+    """Ranges of factors, each NAME=LOW:HIGH; a parameter that did not vary becomes a factor."""
     out: Path | None = None
     """Folder for the results; default runs/study-NAME."""
     resume: bool = False
     """Go on in a folder that holds results of this study: what is missing is made."""
     workers: int = 2
-    """Processes that run at once."""
+    """Processes that run at once, on this computer."""
+    dask: str | None = None
+    """Address of a dask scheduler whose workers run the study, tcp://HOST:PORT."""
+    dask_jobqueue: Path | None = None
+    """TOML file of a batch system's cluster that is started for the study."""
+    traces: int = 0
+    """Keep every tick of so many rows of the design, of those that are made in this run."""
+    failure_traces: bool = False
+    """Keep every tick of the rollouts that diverged, lost contact or chattered."""
     seed: int = 0
     """Seed of the design and of every random number."""
+    toml: bool = False
+    """Print the study's file as it is, to start one's own from, and run nothing."""
     json: bool = False
     """Print the summary as JSON."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Looking:
-    """Flags of ``study status``."""
+    """Flags of ``study list``, ``status`` and ``query``."""
 
     json: bool = False
     """Print JSON."""
 
 
 def study_command(arguments: list[str]) -> bool:
-    """Run a study, or look how far one is; return whether its criteria hold, or it is complete.
+    """Run a study, or look at one; return whether its criteria hold, or it is complete.
 
     Raises:
         InputError: an unknown study, or flags or a folder that cannot be used.
     """
     if not arguments:
-        raise InputError(f"missing NAME; allowed: {', '.join(STUDIES)}, status DIR, --help")
+        names = ", ".join(ready_studies())
+        raise InputError(f"missing NAME; allowed: {names}, FILE.toml, list, status, query, --help")
     if arguments[0] in ("-h", "--help"):
         print(USAGE, end="")
         return True
-    if arguments[0] == "status":
-        return _status(arguments[1:])
-    if arguments[0] not in STUDIES:
-        raise unknown_name("study", arguments[0], (*STUDIES, "status"))
-    return _run(arguments[0], arguments[1:])
+    looks = {"list": _list, "status": _status, "query": _query}
+    return looks.get(arguments[0], _run)(arguments)
 
 
-def _run(name: str, arguments: list[str]) -> bool:
-    kind = STUDIES[name]
-    given: Any = parse(
-        merged(f"Study{name.title()}", {"study": kind}, Running),
-        arguments,
-        prog=f"qpctrl study {name}",
-        description=f"Study {name}: {kind.summary}.\n\nExample: qpctrl study {name} --levels 9 "
-        f"--out runs/{name}",
+def _run(arguments: list[str]) -> bool:
+    path = find_study(arguments[0])
+    said = read_study(path)
+    given = parse(
+        Running,
+        arguments[1:],
+        prog=f"qpctrl study {arguments[0]}",
+        description=f"Study {said['name']}: {said.get('summary', '')}.\n\n"
+        f"Example: qpctrl study {arguments[0]} --out runs/{said['name']}",
     )
-    plan, machine = plan_study(given.study, given.seed), ProcessPool(given.workers)
-    folder = given.out or Path("runs") / f"study-{name}"
+    if given.toml:
+        others = dataclasses.replace(given, toml=False)
+        if others != Running():
+            raise InputError("got --toml beside other flags; it prints the file as it is")
+        print(path.read_text(encoding="utf-8"), end="")
+        return True
+    study = study_of(_changed(said, given))
+    plan, folder = Plan(study, given.seed), given.out or Path("runs") / f"study-{study.name}"
+    machine, tracing = _machine(given), _tracing(given, plan)
     try:
-        with _progress(name) as watch:
-            campaign = run_study(plan, machine, folder, resume=given.resume, watch=watch)
+        with _progress(study.name) as watch:
+            campaign = run_study(
+                plan, machine, folder, resume=given.resume, tracing=tracing, watch=watch
+            )
     except KeyboardInterrupt:
         print("qpctrl: interrupted; finished rows are kept, go on with --resume", file=sys.stderr)
         sys.exit(130)
     if given.json:
         print(json_text(campaign.summary), end="")
     else:
-        _print(campaign, folder)
+        print_campaign(campaign, folder)
     return campaign.passed
 
 
-def _status(arguments: list[str]) -> bool:
-    if not arguments or arguments[0].startswith("-"):
-        if arguments[:1] in (["-h"], ["--help"]):
+def _changed(said: dict[str, Any], given: Running) -> dict[str, Any]:
+    """Return what a study file says with what the command line says in its place."""
+    said = {**said, "factors": dict(said.get("factors", {})), "fixed": dict(said.get("fixed", {}))}
+    if given.controllers:
+        said["controllers"] = list(given.controllers)
+    if given.size is not None:
+        if "worst" in said:
+            raise InputError("--size: a worst-case search has no design; --repeats makes more")
+        said["design"] = {**said.get("design", {}), "size": given.size}
+    if given.repeats is not None:
+        said["repeats"] = given.repeats
+    for text in given.set:
+        name, value = _pair("set", text, "NAME=VALUE")
+        said["factors"].pop(name, None)
+        said["fixed"][name] = _number_or_name(value)
+    for text in given.range:
+        name, ends = _pair("range", text, "NAME=LOW:HIGH")
+        low, _, high = ends.partition(":")
+        try:
+            limits = {"low": float(low), "high": float(high)}
+        except ValueError as error:
+            raise InputError(f"--range: got {text!r}, need NAME=LOW:HIGH") from error
+        kept = {k: v for k, v in said["factors"].get(name, {}).items() if k == "distribution"}
+        said["factors"][name] = {**kept, **limits}
+        said["fixed"].pop(name, None)
+    return said
+
+
+def _pair(flag: str, text: str, form: str) -> tuple[str, str]:
+    name, equals, value = text.partition("=")
+    if not (name and equals and value):
+        raise InputError(f"--{flag}: got {text!r}, need {form}")
+    return name, value
+
+
+def _number_or_name(text: str) -> float | str:
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
+def _machine(given: Running) -> Machine:
+    if given.dask is not None and given.dask_jobqueue is not None:
+        raise InputError("got --dask and --dask-jobqueue, need at most one of them")
+    if given.dask is not None:
+        return dask_machine(given.dask)
+    if given.dask_jobqueue is not None:
+        return jobqueue_machine(given.dask_jobqueue)
+    return ProcessPool(given.workers)
+
+
+def _tracing(given: Running, plan: Plan) -> Tracing:
+    if given.traces < 0:
+        raise InputError(f"traces: got {given.traces}, need a number >= 0")
+    if plan.study.search is not None and (given.traces or given.failure_traces):
+        raise InputError(f"traces: study {plan.study.name!r} searches, and keeps no ticks of that")
+    rows = len(plan) // (plan.study.repeats * len(plan.study.controllers))
+    return Tracing(given.traces, rows, failures=given.failure_traces)
+
+
+def _list(arguments: list[str]) -> bool:
+    given = parse(Looking, arguments[1:], prog="qpctrl study list", description="List the studies.")
+    studies: dict[str, Study] = {n: study_of(read_study(find_study(n))) for n in ready_studies()}
+    if given.json:
+        print(json.dumps({name: study.summary for name, study in studies.items()}, indent=2))
+        return True
+    table = Table("study", "rows", "system", "what it asks", box=None, header_style="bold")
+    for name, study in studies.items():
+        table.add_row(name, _rows(study), study.system.name, study.summary)
+    console().print(table)
+    return True
+
+
+def _rows(study: Study) -> str:
+    try:
+        return str(len(Plan(study, 0)))
+    except InputError:  # the package that makes its design is not installed
+        return "–"
+
+
+def _folder(arguments: list[str], form: str) -> Path:
+    if len(arguments) < 2 or arguments[1].startswith("-"):
+        if arguments[1:2] in (["-h"], ["--help"]):
             print(USAGE, end="")
-            return True
-        raise InputError("study status: missing DIR, the folder of a study")
+            sys.exit(0)
+        raise InputError(f"study {arguments[0]}: missing {form}")
+    return Path(arguments[1])
+
+
+def _status(arguments: list[str]) -> bool:
+    folder = _folder(arguments, "DIR, the folder of a study")
     flags = parse(
         Looking,
-        arguments[1:],
+        arguments[2:],
         prog="qpctrl study status DIR",
         description="Say how many rows of a study are there; exit code 1 while some are missing."
         "\n\nExample: qpctrl study status runs/tilt",
     )
-    found = status(Path(arguments[0]))
+    found = status(folder)
     if flags.json:
         print(json.dumps({**found._asdict(), "complete": found.done == found.rows}))
     else:
-        print(f"study {found.study}: {found.done} of {found.rows} rows")
+        print(f"study {found.study}: {found.done} of {found.rows} rows{_outcomes(found)}")
     return found.done == found.rows
 
 
+def _query(arguments: list[str]) -> bool:
+    folder = _folder(arguments, 'DIR and "SQL"')
+    if len(arguments) < 3 or arguments[2].startswith("-"):
+        raise InputError('study query: missing "SQL", a query of the table rows')
+    flags = parse(
+        Looking,
+        arguments[3:],
+        prog='qpctrl study query DIR "SQL"',
+        description="Ask the rows of a study in SQL; the table is called rows.\n\nExample: "
+        'qpctrl study query runs/tilt "SELECT tilt_deg, force_ratio FROM rows"',
+    )
+    table = query(folder, arguments[2])
+    if flags.json:
+        print(table.write_json())
+    else:
+        print_rows(table)
+    return True
+
+
+def _outcomes(found: Progress) -> str:
+    said = ", ".join(f"{count} {kind}" for kind, count in sorted(found.outcomes.items()))
+    return f" ({said})" if said else ""
+
+
 @contextlib.contextmanager
-def _progress(name: str) -> Iterator[Callable[[int, int], None] | None]:
-    """Yield what shows rollouts, their rate and the time left to a person, if there is one."""
+def _progress(name: str) -> Iterator[Callable[[Progress], None] | None]:
+    """Yield what shows rollouts, rate, time left and outcomes to a person, if there is one."""
     if not interactive():
         yield None
         return
@@ -133,59 +277,20 @@ def _progress(name: str) -> Iterator[Callable[[int, int], None] | None]:
         *(progress.TextColumn("{task.description}"), progress.BarColumn()),
         *(progress.MofNCompleteColumn(), progress.TextColumn("{task.fields[rate]}")),
         *(progress.TextColumn("ETA"), progress.TimeRemainingColumn()),
+        progress.TextColumn("{task.fields[outcomes]}"),
     )
     with progress.Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(name, total=None, rate="")
+        task = bar.add_task(name, total=None, rate="", outcomes="")
 
-        def watch(done: int, rows: int) -> None:
+        def watch(found: Progress) -> None:
             speed = bar.tasks[0].speed
-            rate = f"{speed:.2f} rollouts/s" if speed else ""
-            bar.update(task, completed=done, total=rows, rate=rate)
+            rate = f"{speed:.2f} /s" if speed else ""
+            bar.update(
+                task,
+                completed=found.done,
+                total=found.rows,
+                rate=rate,
+                outcomes=_outcomes(found),
+            )
 
         yield watch
-
-
-def _print(campaign: Campaign, folder: Path) -> None:
-    out, study = console(), campaign.plan.study
-    verdict = "[green]PASSED[/]" if campaign.passed else "[red]FAILED[/]"
-    counts = campaign.summary["outcomes"]
-    said = ", ".join(f"{count} {kind}" for kind, count in counts.items() if count)
-    out.print(f"[bold]study {study.name}[/], {len(campaign.table)} rollouts ({said}) {verdict}")
-    out.print(_rows(campaign))
-    table = Table("criterion", "value", "limit", "unit", "", box=None, header_style="bold")
-    for c in campaign.criteria:
-        mark = "[green]ok[/]" if c.passed else "[red]missed[/]"
-        value = f"{c.value:.3g}" if c.value == c.value else "none"
-        table.add_row(c.name, value, f"≤ {c.limit:g}", c.unit, mark)
-    out.print("", table, sep="\n")
-    timing = campaign.summary["timing"]
-    out.print(
-        f"{timing['rows_made']} rollouts made in {timing['elapsed_s']:.1f} s, "
-        f"{timing['rollouts_per_s']:.1f} /s"
-    )
-    out.print(f"report: {folder / 'report.html'}", soft_wrap=True)
-
-
-def _rows(campaign: Campaign) -> Table:
-    """Return the first `MOST_ROWS` rollouts."""
-    study, rows = campaign.plan.study, campaign.table.head(MOST_ROWS)
-    table = Table(box=None, header_style="bold")
-    for factor in study.factors:
-        table.add_column(f"{factor.name}\n{factor.unit}", justify="right")
-    table.add_column("controller")
-    for head in study.shown.values():
-        table.add_column(head, justify="right")
-    table.add_column("outcome")
-    for row in rows.iter_rows(named=True):
-        point = [f"{row[factor.column]:+.4g}" for factor in study.factors]
-        numbers = [_number(name, row[name]) for name in study.shown]
-        table.add_row(*point, row["controller"], *numbers, row["outcome"])
-    if len(rows) < len(campaign.table):
-        table.caption = f"the first {len(rows)} of {len(campaign.table)} rollouts"
-    return table
-
-
-def _number(name: str, value: float | None) -> str:
-    if value is None:
-        return "–"
-    return f"{value:.1e}" if name.endswith("_gap") else f"{round(value, 5) + 0.0:.5f}"

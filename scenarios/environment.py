@@ -1,4 +1,4 @@
-"""Compliant environments: springs that tie the tool down, a hand that pushes or holds it."""
+"""Compliant environments: springs that tie the tool down, a hand, a wall that it meets."""
 
 from collections.abc import Callable
 from typing import final
@@ -102,3 +102,65 @@ class Grip:
         """Return K and D along x (6) [N/m, N s/m]."""
         along = np.eye(6)[0]
         return self._K * along, self._D * along
+
+
+@final
+class SpringWall:
+    """A wall of known stiffness that a point of the tool pushes on, and that never pulls.
+
+    The normal force is max(0, k δ + d δ̇) at the depth δ > 0 of the frame's origin, and the wall
+    rubs with μ times that against v_t / max(‖v_t‖, ε), v_t the velocity along it: it does not
+    hold a point that rests. A single point touches, so no moment acts at the frame's origin.
+    """
+
+    def __init__(
+        self,
+        X_WE: pin.SE3,
+        stiffness: float,
+        damping: float = 0.0,
+        friction: float = 0.0,
+        slip_speed: float = 1e-2,
+    ) -> None:
+        """Describe the wall.
+
+        Args:
+            X_WE: frame of the wall, origin on its surface, z axis into it.
+            stiffness: k [N/m].
+            damping: d [N s/m].
+            friction: Coulomb friction μ [1].
+            slip_speed: ε [m/s]; below it friction is a damper of μ f / ε, which an explicit step
+                must be short enough for.
+
+        Raises:
+            InputError: stiffness or slip speed that are not positive, damping or friction below 0.
+        """
+        self._X_EW = X_WE.inverse()
+        self._k = float(positive(stiffness, (), "wall stiffness"))
+        self._d = float(non_negative(damping, (), "wall damping"))
+        self._mu = float(non_negative(friction, (), "wall friction"))
+        self._slip_speed = float(positive(slip_speed, (), "slip_speed"))
+        self._normal = np.zeros(3)  # where the wall is touched, along the axes of the tool
+
+    def start(self, X_WF: pin.SE3) -> None:
+        """Do nothing: the wall is where it is."""
+
+    def wrench(self, time: float, X_WF: pin.SE3, V: Twist) -> Wrench:
+        """Return the wrench of robot on wall (6) [N, Nm]."""
+        F, X_EF = np.zeros(6), self._X_EW * X_WF
+        normal, depth = X_EF.rotation[2], float(X_EF.translation[2])
+        self._normal = normal if depth > 0 else np.zeros(3)
+        if depth > 0:
+            rate = float(normal @ V[:3])
+            push, v_t = max(0.0, self._k * depth + self._d * rate), V[:3] - rate * normal
+            rub = self._mu * push / max(float(np.linalg.norm(v_t)), self._slip_speed)
+            F[:3] = push * normal + rub * v_t
+        return F
+
+    def impedance(self) -> tuple[Vector, Vector]:
+        """Return K and D (6) [N/m, N s/m] where it was last touched, else none.
+
+        Along the axes of the tool no less than k n nᵀ and d n nᵀ: exact where n is an axis.
+        """
+        size = np.abs(self._normal)
+        along = np.concatenate([size * size.sum(), np.zeros(3)])
+        return self._k * along, self._d * along

@@ -1,12 +1,13 @@
-"""A force-torque sensor that is not perfect: bias, noise, and a delay."""
+"""A force-torque sensor that is not perfect: gain, bias, noise, a low-pass and a delay."""
 
+import math
 from collections import deque
 from dataclasses import dataclass
 from typing import final
 
 import numpy as np
 
-from qpctrl.arrays import Vector, Wrench, finite_array, non_negative
+from qpctrl.arrays import Vector, Wrench, finite_array, non_negative, positive
 from qpctrl.errors import InputError
 from scenarios.plant import Plant, PlantState
 
@@ -14,18 +15,24 @@ from scenarios.plant import Plant, PlantState
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ForceSensor:
-    """What a sensor adds to the true wrench."""
+    """What a sensor makes of the true wrench F: low-pass of (gain F + bias + noise), late."""
 
+    gain: Vector | float = 1.0
+    """Reading per true wrench [1], 1 + error; of each axis (6), or one of all."""
     noise: float = 0.0
     """Standard deviation of each force [N]; moments get a tenth of the number [Nm]."""
     bias: Vector | float = 0.0
     """Constant error of the reading (6) [N, Nm]."""
+    cutoff: float = 0.0
+    """Cut-off of the first-order low-pass of the reading, noise included [Hz]; 0: none."""
     delay: int = 0
     """Age of the reading [ticks], beyond the one period of the plant."""
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "gain", positive(self.gain, (6,), "force gain"))
         non_negative(self.noise, (), "force noise")
         object.__setattr__(self, "bias", finite_array(self.bias, (6,), "force bias"))
+        non_negative(self.cutoff, (), "force cutoff")
         if self.delay < 0:
             raise InputError(f"force delay: got {self.delay}, need 0 ticks or more")
 
@@ -40,7 +47,7 @@ class SensedPlant:
         self._start()
 
     def reset(self, q: Vector) -> PlantState:
-        """Return the state at rest in ``q`` (nq)."""
+        """Return the state at rest in ``q`` (nq); the low-pass starts on its reading."""
         self._start()
         return self._sense(self._plant.reset(q))
 
@@ -51,10 +58,23 @@ class SensedPlant:
     def _start(self) -> None:
         self._rng = np.random.default_rng(self._seed)
         self._past: deque[Wrench] = deque(maxlen=self._sensor.delay + 1)
+        self._smooth: Wrench | None = None
+        self._time = 0.0
 
     def _sense(self, state: PlantState) -> PlantState:
         self._past.append(state.wrench)
-        reading = self._past[0] + self._sensor.bias
+        reading = self._sensor.gain * self._past[0] + self._sensor.bias
         if self._sensor.noise > 0:
             reading = reading + self._noise * self._rng.normal(size=6)
+        if self._sensor.cutoff > 0:
+            reading = self._filtered(reading, state.time)
         return state._replace(wrench_meas=reading)
+
+    def _filtered(self, reading: Wrench, time: float) -> Wrench:
+        """Return the output (6) of the low-pass at ``time`` [s], its input held until then."""
+        if self._smooth is None:
+            self._smooth = reading
+        follow = 1 - math.exp(-2 * math.pi * self._sensor.cutoff * (time - self._time))
+        self._smooth = self._smooth + follow * (reading - self._smooth)
+        self._time = time
+        return self._smooth

@@ -7,10 +7,15 @@ import numpy as np
 import pinocchio as pin
 
 from qpctrl.arrays import Vector, Wrench, non_negative, positive
+from scenarios.model_error import ModelError
 from scenarios.plant import PlantState
 from scenarios.plant_model import frame_pose
 from scenarios.sensor import ToolReading, WrenchSensor
-from scenarios.world import SENSOR, TOOL, World
+from scenarios.world import SENSOR, TOOL, Pad, World, place_board, set_pad
+
+STIFFEST = 0.9999
+"""Impedance [1] of a joint's dry friction: a stuck joint creeps by what it lacks to 1, times the
+speed that it would gain in a period. MuJoCo takes no more."""
 
 
 class MujocoPlant:
@@ -23,6 +28,11 @@ class MujocoPlant:
         frame: str = TOOL,
         force_noise: float = 0.0,
         seed: int = 0,
+        board: pin.SE3 | None = None,
+        pad: Pad | None = None,
+        joint_friction: Vector | float = 0.0,
+        joint_damping: Vector | float = 0.0,
+        model_error: ModelError | None = None,
         armature: Vector | None = None,
         dt: float | None = None,
     ) -> None:
@@ -34,6 +44,15 @@ class MujocoPlant:
             force_noise: standard deviation of each measured force [N]; moments get a tenth
                 of the number [Nm].
             seed: seed of that noise.
+            board: X_WE of the true board; default: the world's ``X_WE_true``. Worlds take long to
+                build; one of them serves for many boards.
+            pad: contact of pad and board; default: the world's. ``replace(world.pad, friction=μ)``
+                changes its friction alone.
+            joint_friction: Coulomb friction of the joints (nv) [Nm or N], which holds them while
+                it can; of each joint, or one of all.
+            joint_damping: their viscous friction (nv) [Nm s/rad or N s/m], the same.
+            model_error: how the true robot differs from the believed one; a payload hangs at
+                ``frame``.
             armature: the true inertia of the rotors at their joints (nv) [kg m² or kg]; default:
                 the world's. Zero where the motor is simulated apart, behind an elastic gear.
             dt: period [s]; default: the world's.
@@ -42,26 +61,29 @@ class MujocoPlant:
             InputError: no such frame, or a number that cannot be used.
         """
         world.robot.frame_id(frame)
-        self._model = copy(world.model)
-        if dt is not None:
-            self._model.opt.timestep = float(positive(dt, (), "dt"))
+        self._model, nv = _scene(world, board, pad, dt), world.robot.nv
+        _rub(self._model, joint_friction, joint_damping)
         self._data = mujoco.MjData(self._model)
         if armature is not None:
-            self._model.dof_armature[:] = non_negative(armature, (world.robot.nv,), "armature")
+            self._model.dof_armature[:] = non_negative(armature, (nv,), "armature")
             mujoco.mj_setConst(self._model, self._data)  # contacts are as stiff as inertia says
+        if model_error is not None:
+            model_error.perturb_mujoco(self._model, frame)
         self._sensor = WrenchSensor(*_tool(self._model, frame))
-        self._site = self._model.site(SENSOR).id
+        site = self._model.site(SENSOR).id
+        self._R_WS = self._data.site_xmat[site].reshape(3, 3)
         self._channels = {
             name: self._data.sensor(f"qpctrl/{name}").data
             for name in ("force", "torque", "accelerometer", "gyro", "angular acceleration")
         }
         self._tau, self._q, self._v = self._data.qfrc_applied, self._data.qpos, self._data.qvel
         self._noise = force_noise * np.array([1, 1, 1, 0.1, 0.1, 0.1])
-        self._rng = np.random.default_rng(seed)
+        self._seed, self._rng = seed, np.random.default_rng(seed)
 
     def reset(self, q: Vector) -> PlantState:
         """Return the state at rest in ``q`` (nq), held against gravity."""
         mujoco.mj_resetData(self._model, self._data)
+        self._rng = np.random.default_rng(self._seed)
         self._q[:] = q
         mujoco.mj_forward(self._model, self._data)
         self._tau[:] = self._data.qfrc_bias
@@ -82,14 +104,13 @@ class MujocoPlant:
     def read(self) -> PlantState:
         """Return what the sensors say, with new noise; wrench as of the start of the period."""
         data, read = self._data, self._channels
-        R_WS = data.site_xmat[self._site].reshape(3, 3)
         wrench = self._sensor.wrench_on_env(
             ToolReading(
                 force=read["force"],
                 moment=read["torque"],
                 acceleration=read["accelerometer"],
                 angular_velocity=read["gyro"],
-                angular_acceleration=R_WS.T @ read["angular acceleration"],
+                angular_acceleration=self._R_WS.T @ read["angular acceleration"],
             )
         )
         measured = wrench
@@ -97,8 +118,8 @@ class MujocoPlant:
             measured = wrench + self._noise * self._rng.normal(size=6)
         return PlantState(
             time=float(data.time),
-            q=data.qpos.copy(),
-            v=data.qvel.copy(),
+            q=self._q.copy(),
+            v=self._v.copy(),
             wrench_meas=measured,
             wrench=wrench,
             touching=bool(data.ncon > 0),
@@ -113,6 +134,35 @@ class MujocoPlant:
     def move_board(self, way_W: Vector) -> None:
         """Move the board by ``way_W`` (3) [m], world axes, from one period to the next."""
         self._model.body("qpctrl/board").pos[:] += way_W
+
+
+def _scene(
+    world: World, board: pin.SE3 | None, pad: Pad | None, dt: float | None
+) -> mujoco.MjModel:
+    """Return the scene with what is given in the place of its own."""
+    model = copy(world.model)
+    if dt is not None:
+        model.opt.timestep = float(positive(dt, (), "dt"))
+    if board is not None:
+        place_board(model, board)
+    if pad is not None:
+        set_pad(model, pad)
+    return model
+
+
+def _rub(model: mujoco.MjModel, friction: Vector | float, damping: Vector | float) -> None:
+    """Give the joints dry friction (nv) [Nm or N] and viscous friction (nv) [Nm s/rad or N s/m].
+
+    A stuck joint shall stop within a period: that is the least time constant, two periods.
+    """
+    coulomb = non_negative(friction, (model.nv,), "joint_friction")
+    viscous = non_negative(damping, (model.nv,), "joint_damping")
+    if coulomb.any():
+        model.dof_frictionloss[:] = coulomb
+        model.dof_solref[:] = 2 * model.opt.timestep, 1.0
+        model.dof_solimp[:, :2] = STIFFEST
+    if viscous.any():
+        model.dof_damping[:] = viscous
 
 
 def _tool(model: mujoco.MjModel, frame: str) -> tuple[pin.Inertia, pin.SE3]:

@@ -136,7 +136,7 @@ class Record:
 
 def _own_columns(tick: ControlTick) -> list[str]:
     """Return the columns that only this mode has: multipliers and signals."""
-    multipliers = [f"lam.{row}" for row in tick.rows.equality[: tick.mode_rows]]
+    multipliers = [f"lam.{row}" for row in tick.rows.constraint]
     return multipliers + [f"{name}.{j}" for name, n in tick.signals.items() for j in range(n)]
 
 

@@ -1,12 +1,13 @@
 """The scene: a robot holding the eraser in front of a board."""
 
 from dataclasses import dataclass
+from typing import Literal, get_args
 
 import mujoco
 import numpy as np
 import pinocchio as pin
 
-from qpctrl.arrays import Array
+from qpctrl.arrays import Array, positive
 from qpctrl.errors import InputError, unknown_name
 from qpctrl.robot import Robot
 from scenarios.plant_model import check_agreement, frame_pose, robot_from_mujoco
@@ -20,6 +21,15 @@ EDGE = "eraser/edge"
 
 SENSOR = "eraser/ft"
 """Frame of the force-torque sensor, between arm and eraser."""
+
+PAIR = "qpctrl/pad on board"
+"""The only contact of the scene."""
+
+Tip = Literal["pad", "ball"]
+"""What touches the board: the flat felt (up to k = 3), or a ball (k = 1) with `TOOL` at its end."""
+
+BALL_RADIUS = 0.01
+"""Of the ball [m]."""
 
 _SMALLEST_SINGULAR = 0.02  # of the tool's Jacobian at home; below it no scenario starts
 
@@ -43,7 +53,11 @@ class World:
     model: mujoco.MjModel
     robot: Robot
     X_WE: pin.SE3
-    """Board frame: origin on its surface in front of the tool, z into the board."""
+    """Board frame, as believed: origin on its surface in front of the tool, z into the board."""
+    X_WE_true: pin.SE3
+    """Board frame, as it is."""
+    pad: Pad
+    """Contact with the board."""
 
 
 def build_world(
@@ -53,6 +67,9 @@ def build_world(
     home: tuple[float, ...] | None = None,
     clearance: float = 0.03,
     pad: Pad | None = None,
+    tip: Tip = "pad",
+    radius: float = BALL_RADIUS,
+    board_error: pin.SE3 | None = None,
     dt: float = 1e-3,
 ) -> World:
     """Return the scene with the eraser on frame ``tool`` and the board ``clearance`` [m] ahead.
@@ -63,17 +80,23 @@ def build_world(
         home: start configuration [rad or m]; default: the file's own.
         clearance: free distance between pad and board at home [m].
         pad: contact properties.
+        tip: what touches the board, in the place of the pad's face.
+        radius: of a ball [m].
+        board_error: pose of the true board in the believed one: X_WE_true = X_WE * error, which
+            turns it about its origin in front of the tool; default: none. `MujocoPlant` can do
+            the same to a world that is built.
         dt: time step [s].
 
     Raises:
-        InputError: no such frame, or the arm is singular at home.
+        InputError: no such frame or tip, or the arm is singular at home.
         ModelMismatchError: MuJoCo and pinocchio disagree on the scene's robot.
     """
     spec = robot_spec(robot)
     q_home = home_of(compile_spec(spec.copy(), robot), home)
-    _mount_eraser(spec, tool)
-    X_WE = _board_pose(spec, robot, q_home, clearance)
-    _add_board(spec, X_WE, pad or Pad())
+    _mount_eraser(spec, tool, tip, radius)
+    X_WE, pad = _board_pose(spec, robot, q_home, clearance), pad or Pad()
+    X_WE_true = X_WE if board_error is None else X_WE * board_error
+    _add_board(spec, X_WE_true, pad)
     _add_sensors(spec)
     _add_surroundings(spec)
     spec.option.timestep = dt
@@ -81,11 +104,31 @@ def build_world(
     model = compile_spec(spec, robot)
     described = robot_from_mujoco(model, q_home)
     check_agreement(model, described, TOOL)
-    return World(model=model, robot=described, X_WE=X_WE)
+    return World(model=model, robot=described, X_WE=X_WE, X_WE_true=X_WE_true, pad=pad)
 
 
-def _mount_eraser(spec: mujoco.MjSpec, tool: str) -> None:
+def place_board(model: mujoco.MjModel, X_WE: pin.SE3) -> None:
+    """Put the board of a compiled scene at ``X_WE``."""
+    board = model.body("qpctrl/board")
+    board.pos[:], board.quat[:] = X_WE.translation, _quaternion(X_WE)
+
+
+def set_pad(model: mujoco.MjModel, pad: Pad) -> None:
+    """Give the contact with the board of a compiled scene other properties."""
+    pair = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_PAIR, PAIR)
+    model.pair_friction[pair, :2] = pad.friction
+    model.pair_solref[pair] = pad.solref
+    model.pair_solimp[pair, :3] = pad.solimp
+
+
+def _mount_eraser(spec: mujoco.MjSpec, tool: str, tip: Tip, radius: float) -> None:
     eraser = mujoco.MjSpec.from_file(str(MODELS / "eraser.xml"))
+    if tip == "ball":
+        r, ball = float(positive(radius, (), "radius")), eraser.geom("pad")
+        end = ball.pos[2] + ball.size[2]
+        ball.type, ball.size, ball.pos = mujoco.mjtGeom.mjGEOM_SPHERE, [r, 0, 0], [0, 0, end - r]
+    elif tip != "pad":
+        raise unknown_name("tip", tip, get_args(Tip))
     site, body = spec.site(tool), spec.body(tool)
     if site is not None:
         spec.attach(eraser, site=site, prefix="eraser/")
@@ -138,7 +181,7 @@ def _add_board(spec: mujoco.MjSpec, X_WE: pin.SE3, pad: Pad) -> None:
             conaffinity=0,
         )
     spec.add_pair(
-        name="qpctrl/pad on board",
+        name=PAIR,
         geomname1="eraser/pad",
         geomname2="qpctrl/board",
         condim=3,

@@ -1,10 +1,12 @@
 """Force on the environment: feed-forward, PI, PI with velocity damping.
 
-    F_cmd = F_d + K_fp F_e + K_fi ∫F_e − d Aᵀ S⁻¹ (A V − v_c),   F_e = F_d − Aᵀ λ_meas
+    F_cmd = F_d + K_fp F_e + K_fi ∫F_e − d Aᵀ S⁻¹ (A V − v_c),   F_e = A⁺A (F_d − F_meas)
 
-The measured wrench is split into Aᵀ λ_meas, which the constraint carries, and the rest: friction
-and whatever else acts outside A's rows. The rest, low-pass filtered, is fed forward as a
-known external wrench; left out, it loads the constrained rotations and tips a wiping tool.
+What of the set-point lies outside A's rows cannot be pressed, so it is no error that feedback
+could remove: integrated, it would leak into the rows through Λ⁻¹. The measured wrench is split
+into Aᵀ λ_meas, which the constraint carries, and the rest: friction and whatever else acts
+outside A's rows. The rest, low-pass filtered, is fed forward as a known external wrench; left
+out, it loads the constrained rotations and tips a wiping tool.
 Source: LynchPark2017 §11.5; the damping in the metric S⁻¹ is derived in docs/formulation.md.
 """
 
@@ -102,10 +104,9 @@ class ForceTask:
         A, V = scene.A, scene.motion.V
         step = u["ramp"] * scene.dt
         F_des = memory["F_des"] + ca.fmin(ca.fmax(u["F_ref"] - memory["F_des"], -step), step)
-        carried = A.T @ Factor(A @ A.T).solve(A @ u["F_meas"]) if A.shape[0] else 0 * u["F_meas"]
+        carried, F_e = _along_rows(A, u["F_meas"]), _along_rows(A, F_des - u["F_meas"])
         follow = 1 - ca.exp(-2 * np.pi * u["cutoff"] * scene.dt)
         F_ext = memory["F_ext"] + follow * (u["F_meas"] - carried - memory["F_ext"])
-        F_e = F_des - carried
         grown = memory["integral"] + (1 - scene.freeze) * scene.dt * F_e
         integral = ca.fmin(ca.fmax(grown, -u["integral_max"]), u["integral_max"])
         brake = A.T @ Factor(scene.S).solve(A @ V - scene.v_c) if A.shape[0] else 0 * V
@@ -116,3 +117,8 @@ class ForceTask:
             memory={"F_des": F_des, "integral": integral, "F_ext": F_ext, **given.memory},
             signals={"F_des": F_des, "F_cmd": F_cmd, "F_ext": F_ext, "energy": given.energy},
         )
+
+
+def _along_rows(A: SX, F: SX) -> SX:
+    """Return A⁺A F (n) [N, Nm], the part of a wrench that the rows of A can carry."""
+    return A.T @ Factor(A @ A.T).solve(A @ F) if A.shape[0] else 0 * F

@@ -198,10 +198,14 @@ def limited_optimum(
     weights: tuple[float, float, float],
     tau_min: np.ndarray,
     tau_max: np.ndarray,
+    slack: float | None = None,
 ) -> Optimum:
     """Minimise the three costs of the formulation over (a, λ) within torque bounds, by quadprog.
 
     w_m/2 ‖J a + J̇v − a_cmd‖²_Λ + w_f/2 ‖Aᵀ λ − F_cmd‖²_{Λ⁻¹} + w_p/2 ‖N (a − a_post)‖²_M
+
+    With slack the rows hold no more: w_s/2 ‖A V̇ + Ȧ V − v̇_c‖²_{S⁻¹} is a fourth cost, and the
+    first is taken of Pᵀ (J a + J̇v − a_cmd).
     """
     nv, k = len(terms.M), len(rows.A)
     J_bar = np.linalg.solve(terms.M, terms.J.T) @ terms.Lambda
@@ -212,14 +216,20 @@ def limited_optimum(
         (weights[2] * terms.M, np.hstack([N, np.zeros((nv, k))])),
     ]
     targets = [wanted.a_cmd - terms.J_dot_v, wanted.F_cmd, N @ wanted.a_post]
-    H = sum(E.T @ metric @ E for metric, E in costs)
-    pull = sum(E.T @ metric @ goal for (metric, E), goal in zip(costs, targets, strict=True))
     AJ = rows.A @ terms.J
     equality = np.hstack([AJ, np.zeros((k, k))])
     drift = rows.v_c_dot - rows.A_dot_V - rows.A @ terms.J_dot_v
+    if slack is not None:
+        PT = projector(rows.A, terms.Lambda_inv).T
+        costs[0], targets[0] = (costs[0][0], PT @ costs[0][1]), PT @ targets[0]
+        S = rows.A @ terms.Lambda_inv @ rows.A.T
+        costs, targets = [*costs, (slack * np.linalg.inv(S), equality)], [*targets, drift]
+        equality, drift = equality[:0], drift[:0]
+    H = sum(E.T @ metric @ E for metric, E in costs)
+    pull = sum(E.T @ metric @ goal for (metric, E), goal in zip(costs, targets, strict=True))
     torque = np.hstack([terms.M, AJ.T])
     bias = terms.h + terms.J.T @ wanted.F_ext
     bounded = np.vstack([equality, torque, -torque])
     limits = np.concatenate([drift, tau_min - bias, bias - tau_max])
-    x = quadprog.solve_qp((H + H.T) / 2, pull, bounded.T, limits, k)[0]
+    x = quadprog.solve_qp((H + H.T) / 2, pull, bounded.T, limits, len(equality))[0]
     return Optimum(x[:nv], x[nv:], torque @ x + bias)

@@ -29,6 +29,8 @@ from qpctrl import (
     TickReport,
     Weighted,
 )
+from qpctrl.limit import UNBOUNDED
+from qpctrl.solver import QpData, Solution, make_solver
 from tasks import (
     ForceReference,
     ForceTask,
@@ -353,6 +355,106 @@ def test_two_controllers_give_identical_bits() -> None:
         assert a.memory.x.tobytes() == b.memory.x.tobytes()
         assert a.report.lam.tobytes() == b.report.lam.tobytes()
         assert a.report.signals.tobytes() == b.report.signals.tobytes()
+
+
+def pushed_to_its_limits(controller: Controller, ticks: int = 60) -> list[Step]:
+    """Run towards poses out of reach, with the gains and limits that the controller has."""
+    memory, steps = controller.start("contact", arm().home), []
+    rng = np.random.default_rng(0)
+    for i in range(ticks):
+        far = arm().pose(arm().home, "tool") * pin.exp6(rng.normal(size=6))
+        given = {**references(i * DT), "motion": MotionReference(X_WD=far)}
+        steps.append(Step(*controller.step("contact", measured(i), given, memory)))
+        memory = steps[-1].memory
+    return steps
+
+
+def with_other_inputs(controller: Controller) -> None:
+    """Run ticks, good and bad, that change gains, weights, limits and the period."""
+    hopeless = {**references(0.0), "limits": Given(q_max=arm().home - 5.0)}
+    _, report, _ = controller.step(
+        "contact", measured(0), hopeless, controller.start("contact", arm().home)
+    )
+    assert report.status is Status.INFEASIBLE
+    controller.engines["contact"].inputs["dt"][...] = DT
+    changed = {
+        "motion": Given(K_p=np.full(6, 30.0), weight=np.array(7.0), V_des=np.full(6, 0.1)),
+        "force": Given(K_fi=np.full(6, 1.0)),
+        "limits": Given(tau_max=np.full(7, 0.7 * TAU_MAX), q_max=np.full(7, UNBOUNDED)),
+    }
+    memory = controller.start("contact", arm().home)
+    for i in range(20):
+        given = {**references(i * DT), **changed}
+        _, report, memory = controller.step("contact", measured(i), given, memory)
+        assert report.status is Status.OK
+
+
+def bits(step: Step) -> list[bytes]:
+    """Return all numbers of a step but the solver's own torque, which proxsuite does not repeat."""
+    report = step.report._replace(tau_solver=np.zeros(0), active=(), yields=())
+    named = [(limit.name, limit.dual) for limit in step.report.active]
+    lost = [lost.amount.tobytes() for lost in step.report.yields]
+    numbers = [np.asarray(x).tobytes() for x in (*step.command, *step.memory) if x is not None]
+    return [*numbers, *(np.asarray(x).tobytes() for x in report), repr(named).encode(), *lost]
+
+
+@pytest.mark.parametrize("solver", ["proxsuite", "daqp"])
+def test_a_controller_that_is_reset_gives_the_bits_of_a_new_one(solver: str) -> None:
+    controller = make_controller(solver=solver, dt=2 * DT)
+    first = pushed_to_its_limits(controller)
+    assert sum(step.report.saturated for step in first) > 20
+    moved = first[1].command.tau - first[0].command.tau
+    assert np.abs(moved).max() == pytest.approx(TAU_RATE * 2 * DT)
+    with_other_inputs(controller)
+    controller.reset()
+    again = pushed_to_its_limits(controller)
+    new = pushed_to_its_limits(make_controller(solver=solver, dt=2 * DT))
+    for one, two, three in zip(first, again, new, strict=True):
+        assert bits(one) == bits(two) == bits(three)
+
+
+class OneShot:
+    """A solver that remembers: after one QP it finds no solution until it is reset."""
+
+    def __init__(self) -> None:
+        self._used = False
+
+    def solve(self, qp: QpData) -> Solution:
+        """Return the solution of the first QP."""
+        found = make_solver("daqp").solve(qp)._replace(feasible=not self._used)
+        self._used = True
+        return found
+
+    def reset(self) -> None:
+        """Forget the first QP."""
+        self._used = False
+
+
+def test_a_reset_reaches_the_solver_of_every_mode(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("qpctrl.controller.make_solver", lambda name: OneShot())
+    controller = make_controller()
+
+    def outcomes() -> list[Status]:
+        starts = [(mode, controller.start(mode, arm().home)) for mode in ("contact", "free")]
+        return [
+            controller.step(mode, measured(0), {"motion": references(0.0)["motion"]}, start)[
+                1
+            ].status
+            for mode, start in starts
+        ]
+
+    assert outcomes() == [Status.OK, Status.OK]
+    assert outcomes() == [Status.INFEASIBLE, Status.INFEASIBLE]
+    controller.reset()
+    assert outcomes() == [Status.OK, Status.OK]
+
+
+def test_without_a_reset_changed_inputs_stay() -> None:
+    controller = make_controller()
+    first = pushed_to_its_limits(controller)[-1]
+    with_other_inputs(controller)
+    again = pushed_to_its_limits(controller)[-1]
+    assert np.abs(first.command.tau - again.command.tau).max() > 1.0
 
 
 def test_a_step_leaves_its_arguments_and_earlier_results_alone() -> None:

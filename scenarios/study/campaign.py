@@ -4,7 +4,8 @@ import contextlib
 import functools
 import itertools
 import time
-from collections.abc import Callable, Generator, Sequence
+from collections import Counter
+from collections.abc import Callable, Generator, Iterable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,17 +14,17 @@ import polars as pl
 from scenarios.scenario import Criterion
 from scenarios.study.machine import Machine
 from scenarios.study.page import render_study
-from scenarios.study.rollout import OutcomeClass, roll_out_all
+from scenarios.study.plan import Plan, Task
+from scenarios.study.rollout import Made, Tracing, roll_out_all
 from scenarios.study.store import (
     Store,
-    chunk_files,
     json_text,
     open_store,
-    read_identities,
+    read_done,
     read_manifest,
     write_text,
 )
-from scenarios.study.study import Plan, Task
+from scenarios.study.summary import conclude
 
 LARGEST_CHUNK = 64
 CHUNKS_FOR_EACH = 8  # worker, so that all of them end at about the same time
@@ -51,6 +52,18 @@ class Progress(NamedTuple):
     study: str
     done: int
     rows: int
+    outcomes: Counter[str]
+    """Rows by class of outcome."""
+
+
+class Timing(NamedTuple):
+    """How long it took."""
+
+    made: int
+    """Rows that were made."""
+    elapsed: float
+    """[s]."""
+    workers: int
 
 
 def run_study(
@@ -59,37 +72,42 @@ def run_study(
     folder: Path,
     *,
     resume: bool = False,
-    watch: Callable[[int, int], None] | None = None,
+    tracing: Tracing = Tracing(),  # noqa: B008
+    watch: Callable[[Progress], None] | None = None,
 ) -> Campaign:
     """Make the rollouts that are missing in ``folder``, and judge them all.
 
-    Leaves study.json, chunks/*.parquet, summary.json and report.html.
+    Leaves study.json, chunks/*.parquet, traces/*.parquet, summary.json and report.html.
 
     Args:
         plan: the rollouts.
         machine: where they run.
         folder: for the results.
         resume: whether the folder may hold results already.
-        watch: called with rows that are there and rows in all, at the start and for each chunk.
+        tracing: of which rollouts every tick is kept.
+        watch: called at the start and for each chunk.
 
     Raises:
         InputError: the folder cannot be used or written; finished chunks stay valid.
     """
     with open_store(folder, plan, resume=resume) as store:
-        started, done = time.perf_counter(), store.done()
-        missing = [task for task in plan.tasks if task.identity not in done]
-        count = len(done)
-        work = functools.partial(roll_out_all, plan.study)
+        started, rows = time.perf_counter(), store.done()
+        done = frozenset(rows["identity"])
+        progress = Progress(plan.study.name, len(done), len(plan), Counter(rows["outcome"]))
+        missing = (task for task in plan if task.identity not in done)
+        work = functools.partial(roll_out_all, plan.study, tracing)
         if watch is not None:
-            watch(count, len(plan.tasks))
-        with contextlib.closing(_made(machine, work, missing)) as made:
-            for rows in made:
-                store.add(rows)
-                count += len(rows)
+            watch(progress)
+        chunks = _chunks(missing, len(plan) - len(done), machine.workers)
+        with contextlib.closing(_generator(machine.run(work, chunks))) as made:
+            for rollouts in made:
+                store.add(rollouts)
+                progress.outcomes.update(r.row["outcome"] for r in rollouts)
+                progress = progress._replace(done=progress.done + len(rollouts))
                 if watch is not None:
-                    watch(count, len(plan.tasks))
-        elapsed = time.perf_counter() - started
-        return _conclude(store, made=len(missing), elapsed=elapsed)
+                    watch(progress)
+        timing = Timing(len(plan) - len(done), time.perf_counter() - started, machine.workers)
+        return _conclude(store, timing)
 
 
 def status(folder: Path) -> Progress:
@@ -99,47 +117,32 @@ def status(folder: Path) -> Progress:
         InputError: it holds no study, or a file that cannot be read.
     """
     manifest = read_manifest(folder)
-    done = read_identities(folder) if chunk_files(folder) else []
-    return Progress(str(manifest["study"]), len(done), int(manifest["rows"]))
+    rows = read_done(folder)
+    return Progress(str(manifest["study"]), len(rows), manifest["rows"], Counter(rows["outcome"]))
 
 
-def _made(
-    machine: Machine,
-    work: Callable[[Sequence[Task]], list[dict[str, Any]]],
-    missing: Sequence[Task],
-) -> Generator[list[dict[str, Any]], None, None]:
-    """Yield the rows of each chunk of the missing rollouts."""
-    size = len(missing) // (CHUNKS_FOR_EACH * machine.workers)
-    size = min(max(size, 1), LARGEST_CHUNK)
+def _chunks(missing: Iterable[Task], count: int, workers: int) -> Iterator[tuple[Task, ...]]:
+    """Return the missing tasks in chunks."""
+    size = min(max(count // (CHUNKS_FOR_EACH * max(workers, 1)), 1), LARGEST_CHUNK)
     rest = iter(missing)
-    yield from machine.run(work, iter(lambda: tuple(itertools.islice(rest, size)), ()))
+    return iter(lambda: tuple(itertools.islice(rest, size)), ())
 
 
-def _conclude(store: Store, *, made: int, elapsed: float) -> Campaign:
+def _generator(made: Iterator[list[Made]]) -> Generator[list[Made], None, None]:
+    yield from made
+
+
+def _conclude(store: Store, timing: Timing) -> Campaign:
+    """Write the summary and the report of a finished study."""
     plan, table = store.plan, store.table()
-    criteria = plan.study.judge(table)
-    columns = [f.column for f in plan.study.factors]
-    kept = ["row", *columns, "controller", "outcome", "reason", *plan.study.measures]
-    counts = dict(table["outcome"].value_counts().iter_rows())
-    summary = {
-        **plan.manifest(),
-        "passed": all(c.passed for c in criteria),
-        "criteria": [
-            {**c._asdict(), "value": _known(c.value), "passed": c.passed} for c in criteria
-        ],
-        "outcomes": {str(kind): int(counts.get(str(kind), 0)) for kind in OutcomeClass},
-        "table": table.select(kept).to_dicts(),
-        "timing": {
-            "rows_made": made,
-            "elapsed_s": elapsed,
-            "rollouts_per_s": made / elapsed,
-            "rollout_s_sum": float(table["elapsed_s"].sum()),
-        },
+    took = {
+        "rows_made": timing.made,
+        "elapsed_s": timing.elapsed,
+        "rows_per_s": timing.made / timing.elapsed,
+        "rollout_s_sum": float(table["elapsed_s"].sum()),
+        "workers": timing.workers,
     }
+    criteria, summary = conclude(plan.study, plan.manifest(), table, took)
     write_text(store.folder / "summary.json", json_text(summary))
     write_text(store.folder / "report.html", render_study(plan.study, table, criteria, summary))
     return Campaign(plan, table, summary, criteria)
-
-
-def _known(value: float) -> float | None:
-    return value if value == value else None

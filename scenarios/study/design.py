@@ -1,67 +1,129 @@
 """Designs: which values of its factors a study visits. One row a point, one column a factor."""
 
+import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal, get_args
 
 import numpy as np
 from scipy.stats import qmc
 
 from qpctrl.arrays import Matrix
-from qpctrl.errors import InputError
+from qpctrl.errors import InputError, unknown_name
+from scenarios.study import sensitivity
 from scenarios.study.factor import Factor
 
+Kind = Literal["levels", "map", "sobol", "indices", "morris"]
 
-def one_at_a_time(
-    factors: Sequence[Factor], levels: int, centre: Mapping[str, float] | None = None
-) -> Matrix:
-    """Return equally spaced levels of each factor while the others keep their centre.
+MOST_POINTS = 10_000_000
+"""Points that a design may have; they are held in memory."""
+MORRIS_LEVELS = 8
+"""Levels of the grid on which Morris trajectories walk."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Design:
+    """How the points of a study lie in the ranges of its factors."""
+
+    kind: Kind = "levels"
+    """``levels``: one factor at a time, the others at their usual value. ``map``: every level of
+    each factor with every level of the others. ``sobol``: scrambled Sobol points. ``indices``:
+    Sobol points in the arrangement that gives first-order and total indices. ``morris``:
+    trajectories that screen many factors."""
+    size: int = 9
+    """levels and map: values of each factor; sobol: points; indices: base points, each of which
+    makes factors + 2; both a power of two; morris: trajectories of factors + 1 points."""
+
+    def __post_init__(self) -> None:
+        if self.kind not in get_args(Kind):
+            raise unknown_name("design", self.kind, get_args(Kind))
+        if self.size < 2:
+            raise InputError(f"design {self.kind}: got size {self.size}, need at least 2")
+
+    def points(self, factors: Sequence[Factor], usual: Mapping[str, float], seed: int) -> Matrix:
+        """Return the points (points × factors) in the factors' units.
+
+        Args:
+            factors: what varies.
+            usual: value of each factor while another varies alone; where it has none in its
+                range, the middle of that.
+            seed: of random designs.
+
+        Raises:
+            InputError: a size or seed that cannot be used.
+        """
+        if not factors:
+            return np.zeros((1, 0))
+        count = self._count(factors)
+        if count > MOST_POINTS:
+            raise InputError(
+                f"design {self.kind}: size {self.size} makes {count} points, need at most "
+                f"{MOST_POINTS}"
+            )
+        if self.kind == "levels":
+            return one_at_a_time(factors, self.size, usual)
+        if self.kind == "map":
+            grid = np.meshgrid(*(f.levels(self.size) for f in factors), indexing="ij")
+            return np.column_stack([values.ravel() for values in grid])
+        shares = {"sobol": _sobol, "indices": sensitivity.saltelli, "morris": _morris}[self.kind]
+        unit = shares(len(factors), self.size, seed)
+        return np.column_stack([f.at(unit[:, i]) for i, f in enumerate(factors)])
+
+    @property
+    def needs_salib(self) -> bool:
+        """Whether its points come from SALib."""
+        return self.kind in ("indices", "morris")
+
+    def _count(self, factors: Sequence[Factor]) -> int:
+        """Return how many points there are, at most."""
+        levels = [len(f.values) or self.size for f in factors]
+        return {
+            "levels": sum(levels),
+            "map": math.prod(levels),
+            "sobol": self.size,
+            "indices": self.size * (len(factors) + 2),
+            "morris": self.size * (len(factors) + 1),
+        }[self.kind]
+
+
+def one_at_a_time(factors: Sequence[Factor], levels: int, usual: Mapping[str, float]) -> Matrix:
+    """Return the levels of each factor (points × factors) while the others keep their usual value.
 
     Args:
         factors: what varies.
         levels: points along each factor, both ends included.
-        centre: value of each factor while another varies; default: the middle of its range.
-
-    Returns:
-        Points (levels · factors × factors) in the factors' units.
-
-    Raises:
-        InputError: fewer than two levels.
+        usual: value of each factor while another varies.
     """
-    if levels < 2:
-        raise InputError(f"levels: got {levels}, need at least 2")
-    centre = centre or {}
-    middle = [centre.get(f.name, (f.low + f.high) / 2) for f in factors]
-    points = np.tile(np.array(middle, dtype=np.float64), (len(factors) * levels, 1))
+    centre = [_centre(f, usual.get(f.name, math.nan)) for f in factors]
+    blocks = []
     for i, factor in enumerate(factors):
-        points[i * levels : (i + 1) * levels, i] = np.linspace(factor.low, factor.high, levels)
-    return points
+        values = factor.levels(levels)
+        block = np.tile(np.array(centre), (len(values), 1))
+        block[:, i] = values
+        blocks.append(block)
+    return np.vstack(blocks)
 
 
-def sobol(factors: Sequence[Factor], size: int, seed: int) -> Matrix:
-    """Return a scrambled Sobol design.
+def _centre(factor: Factor, usual: float) -> float:
+    """Return its usual value if the factor takes it, else the one in the middle."""
+    if usual in factor.values or (not factor.values and factor.low <= usual <= factor.high):
+        return usual
+    middle = factor.levels(3)
+    return float(middle[len(middle) // 2])
 
-    Args:
-        factors: what varies.
-        size: number of points, a power of two.
-        seed: of the scrambling.
 
-    Returns:
-        Points (size × factors) in the factors' units.
-
-    Raises:
-        InputError: a size that is no power of two, or a negative seed.
-    """
-    if size < 2 or size & (size - 1):
+def _sobol(count: int, size: int, seed: int) -> Matrix:
+    """Return scrambled Sobol points (size × count) in the unit cube."""
+    if size & (size - 1):
         raise InputError(f"Sobol size: got {size}, need a power of two; nearest {_nearest(size)}")
-    if seed < 0:
-        raise InputError(f"seed: got {seed}, need a number >= 0")
-    low, high = np.array([[f.low, f.high] for f in factors], dtype=np.float64).T
-    sampler = qmc.Sobol(d=len(factors), scramble=True, rng=np.random.default_rng(seed))
-    return low + (high - low) * sampler.random(size)
+    return qmc.Sobol(d=count, scramble=True, rng=np.random.default_rng(seed)).random(size)
+
+
+def _morris(count: int, size: int, seed: int) -> Matrix:
+    return sensitivity.morris(count, size, MORRIS_LEVELS, seed)
 
 
 def _nearest(size: int) -> int:
-    """Return the power of two nearest to ``size``, at least 2; the smaller of two as near."""
-    if size <= 2:
-        return 2
+    """Return the power of two nearest to ``size``; the smaller of two as near."""
     below: int = 1 << (size.bit_length() - 1)
     return below if size - below <= 2 * below - size else 2 * below

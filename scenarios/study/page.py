@@ -1,4 +1,4 @@
-"""The page of a study: verdict, criteria, outcomes, figures, and every row."""
+"""The page of a study: verdict, controllers, figures, tables, and its first rows."""
 
 from collections.abc import Mapping, Sequence
 from html import escape
@@ -7,22 +7,19 @@ from typing import Any
 import polars as pl
 
 from scenarios import report_page as house
-from scenarios.report_style import number
+from scenarios.panel import Panel
+from scenarios.report_style import MUTED
 from scenarios.scenario import Criterion
+from scenarios.study.page_table import (
+    controller_section,
+    factor_section,
+    published_section,
+    rows_details,
+    worst_section,
+)
+from scenarios.study.picture import study_panels
 from scenarios.study.study import Study
-
-WORDS = {
-    "force_gap": "Force while holding still, against its closed form; worst rollout",
-    "offset_gap": "Tangential offset while holding still, against its closed form; worst rollout",
-    "speed_gap": "True speed while sliding, against v / cos α; worst rollout",
-    "qp_law_gap_max": "QP against the hybrid law, worst tick of all",
-    "fallback_ticks": "Ticks that sent the fallback torque, worst rollout",
-    "rollouts_diverged": "Rollouts that diverged",
-}
-"""Words of each criterion."""
-
-MOST_ROWS = 200
-"""Rows that the page shows; the files hold all of them."""
+from scenarios.study.word import limit_words, unit_of
 
 
 def render_study(
@@ -35,43 +32,59 @@ def render_study(
 
     Args:
         study: what was studied.
-        table: one row a rollout.
+        table: one row a rollout; some may be missing.
         criteria: its verdict.
         summary: what summary.json holds.
     """
-    panels = [panel for panel in study.panels(table) if panel.figure]
-    counts = summary["outcomes"]
-    said = ", ".join(f"{count} {kind}" for kind, count in counts.items() if count)
-    factors = "; ".join(
-        f"{f.name} from {number(f.low)} to {number(f.high)} {f.unit}" for f in study.factors
-    )
-    words = f"{study.summary}. {factors}. {len(table)} rollouts: {said}."
+    panels = study_panels(study, table, summary)
     body = [
-        house.header("qpctrl · study", study.name, words, criteria),
-        house.criteria_section(criteria, {c.name: WORDS.get(c.name, c.name) for c in criteria}),
-        *(house.section(panel) for panel in panels),
-        _rows(study, table),
+        _header(study, criteria, summary),
+        _criteria(study, criteria),
+        controller_section(study, summary),
+        published_section(study, summary),
+        worst_section(study, table),
+        *(house.section(p) if p.figure else _words(p) for p in panels),
+        factor_section(study),
+        rows_details(study, table),
         house.details(
             "Configuration and versions",
             {"Configuration": summary["configuration"], "Code": summary["code"]},
         ),
     ]
-    return house.page(f"study {study.name}", body, panels)
+    return house.page(f"study {study.name}", [piece for piece in body if piece], panels)
 
 
-def _rows(study: Study, table: pl.DataFrame) -> str:
-    names = [f.column for f in study.factors] + ["controller", "outcome", *study.measures]
-    head = "".join(f'<th class="n">{escape(name)}</th>' for name in names)
-    lines = [
-        "<tr>" + "".join(f'<td class="n">{_cell(row[name])}</td>' for name in names) + "</tr>"
-        for row in table.head(MOST_ROWS).iter_rows(named=True)
-    ]
-    words = f"The first {MOST_ROWS} of {len(table)} rollouts" if len(table) > MOST_ROWS else "Rows"
-    body = house.table(f"<tr>{head}</tr>", lines)
-    return f"<details><summary>{escape(words)}</summary>{body}</details>"
+def _header(study: Study, criteria: Sequence[Criterion], summary: Mapping[str, Any]) -> str:
+    done, rows = summary["rows_done"], summary["rows"]
+    counts = ", ".join(f"{count} {kind}" for kind, count in summary["outcomes"].items() if count)
+    kind = "rollouts" if study.search is None else "searches"
+    said = f": {counts}" if counts and study.search is None else ""
+    words = f"{study.summary[:1].upper()}{study.summary[1:]}. {done} {kind}{said}."
+    if done == rows and criteria:
+        return house.header("qpctrl · study", study.name, words, criteria)
+    mark, more = "NOT JUDGED", "the study has no criteria"
+    if done < rows:
+        mark, more = "UNFINISHED", f"{done} of {rows} rows"
+    return (
+        f'<header><div><div class="kicker">qpctrl · study</div><h1>{escape(study.name)}</h1>'
+        f'<p>{escape(words)}</p></div><div class="verdict" style="background: {MUTED}">'
+        f"<strong>{mark}</strong><span>{more}</span></div></header>"
+    )
 
 
-def _cell(value: object) -> str:
-    if isinstance(value, str):
-        return escape(value)
-    return "–" if value is None else number(value, 5)
+def _criteria(study: Study, criteria: Sequence[Criterion]) -> str:
+    if not criteria:
+        return ""
+    limits = dict(zip((c.name for c in criteria), study.criteria, strict=True))
+    words = {name: limit_words(study, limit) for name, limit in limits.items()}
+    units = [unit_of(study, limit.measure) for limit in study.criteria]
+    shown = [c._replace(unit=unit) for c, unit in zip(criteria, units, strict=True)]
+    return house.criteria_section(shown, words)
+
+
+def _words(panel: Panel) -> str:
+    """Return the place of a panel that has no figure, with its words."""
+    return (
+        f'<section><h2>{escape(panel.title)}</h2><p class="caption">{escape(panel.caption)}</p>'
+        "</section>"
+    )

@@ -1,126 +1,143 @@
 """One rollout of a study: its row in the table, whatever happens on the way."""
 
+import io
 import math
 import time
 from collections.abc import Sequence
-from enum import StrEnum
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import polars as pl
 
-from qpctrl.arrays import Vector
-from scenarios.metric import rms
-from scenarios.study.study import Measures, Study, Task
-
-SATURATED_SHARE = 0.01  # of the ticks; fewer are passing, as at a start
-DEGRADED_FORCE = 0.1  # RMSE over set-point
-
-
-class OutcomeClass(StrEnum):
-    """What became of a rollout; the first that applies, from the worst on."""
-
-    DIVERGED = "diverged"
-    """It ended early, or a number is not finite. The row has a reason and no measures."""
-    LOST = "lost"
-    """The contact was lost: an environment that cannot pull would have let go."""
-    SATURATED = "saturated"
-    """A limit was active in more than `SATURATED_SHARE` of the ticks."""
-    DEGRADED = "degraded"
-    """A fallback tick, or a force RMSE above `DEGRADED_FORCE` of the set-point."""
-    OK = "ok"
-
-
-FORCE_MEASURES = (
-    *("force_mae_N", "force_rmse_N", "force_p95_N", "force_peak_N", "force_bias_N"),
-    "force_rmse_ratio",
-)
-CLASS_MEASURES = ("contact_lost_fraction", "saturated_fraction", "fallback_ticks")
-"""What the class of outcome hangs on, with ``force_rmse_ratio``."""
+from scenarios.study.outcome import FAILURES, OutcomeClass, classify
+from scenarios.study.plan import Task
+from scenarios.study.search import Boundary, Place, Trial, Worst
+from scenarios.study.study import Study
+from scenarios.study.system import DivergedError, Measures, Setting
 
 TIMING = ("elapsed_s",)
 """Columns that differ from run to run."""
 
 
-def force_measures(force: Vector, set_point: float) -> dict[str, float]:
-    """Return the statistics of ``force`` (ticks) [N] around its ``set_point`` [N].
+class Tracing(NamedTuple):
+    """Of which rollouts every tick is kept."""
 
-    ``force_p95_N`` is the 95th percentile of the absolute error, ``force_peak_N`` the largest
-    force itself, ``force_rmse_ratio`` the RMSE over the set-point.
-    """
-    error = force - set_point
-    size = np.abs(error)
-    rmse = rms(error)
-    return {
-        "force_mae_N": float(size.mean()),
-        "force_rmse_N": rmse,
-        "force_p95_N": float(np.quantile(size, 0.95)),
-        "force_peak_N": float(force.max()),
-        "force_bias_N": float(error.mean()),
-        "force_rmse_ratio": rmse / set_point,
-    }
+    rows: int = 0
+    """So many rows of the design, evenly spread; the first repeat of each, all controllers."""
+    of: int = 1
+    """Rows that the design has."""
+    failures: bool = False
+    """All that diverged, lost contact or chattered."""
+
+    def wants(self, task: Task, outcome: OutcomeClass) -> bool:
+        """Return whether the ticks of a rollout with this outcome are kept."""
+        before, after = (row * self.rows // self.of for row in (task.row, task.row + 1))
+        sampled = task.repeat == 0 and after > before
+        return sampled or (self.failures and outcome in FAILURES)
 
 
-def classify(measures: Measures) -> OutcomeClass:
-    """Return the class of a rollout in which nothing is wild; what it has no number of is 0."""
-    names = (*CLASS_MEASURES, "force_rmse_ratio")
-    lost, saturated, fallback, rmse = (measures.get(name) or 0.0 for name in names)
-    if lost > 0:
-        return OutcomeClass.LOST
-    if saturated > SATURATED_SHARE:
-        return OutcomeClass.SATURATED
-    if fallback > 0 or rmse > DEGRADED_FORCE:
-        return OutcomeClass.DEGRADED
-    return OutcomeClass.OK
+class Made(NamedTuple):
+    """A rollout that has been made."""
+
+    row: dict[str, Any]
+    trace: bytes | None
+    """Its ticks as a Parquet file, if they are kept."""
 
 
-def roll_out(study: Study, task: Task) -> dict[str, Any]:
-    """Return the row of a rollout; it never raises.
+def roll_out(study: Study, task: Task, tracing: Tracing = Tracing()) -> Made:  # noqa: B008
+    """Return the row of a rollout, or of a search; it never raises.
 
     What goes wrong is an outcome, ``diverged`` with a reason, whose measures are null.
     """
     started = time.perf_counter()
-    point = dict(zip((f.name for f in study.factors), task.point, strict=True))
-    measures: Measures = {}
-    try:
-        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            measures = study.run(point, task.controller, task.seed)
-        reason = _what_is_wrong(study, measures)
-    except Exception as error:
-        reason = f"{type(error).__name__}: {' '.join(str(error).split())}"
-    outcome = OutcomeClass.DIVERGED if reason else classify(measures)
-    kept = dict.fromkeys(study.measures) if reason else {n: measures[n] for n in study.measures}
-    return {
+    point = dict(zip((f.name for f in study.columns), task.point, strict=True))
+    setting = study.setting(point)
+    if study.search is None:
+        trial = _attempt(study, setting, task)
+    else:
+        trial = _find(study, study.search, setting, task)
+    elapsed = time.perf_counter() - started
+    trace = None
+    if study.search is None and tracing.wants(task, trial.outcome):
+        trace = _trace(study, setting, task)
+    row = {
         "identity": task.identity,
-        "row": task.row,
-        **{f.column: x for f, x in zip(study.factors, task.point, strict=True)},
-        "controller": task.controller,
-        "seed": task.seed,
-        "outcome": str(outcome),
-        "reason": reason,
-        **kept,
-        "elapsed_s": time.perf_counter() - started,
+        **{"row": task.row, "repeat": task.repeat},
+        **{f.column: x for f, x in zip(study.columns, task.point, strict=True)},
+        **{"controller": task.controller, "seed": task.seed},
+        **{"outcome": str(trial.outcome), "reason": trial.reason},
+        **{name: _plain(trial.measures.get(name)) for name in study.measures},
+        "elapsed_s": elapsed,
     }
+    return Made(row, trace)
+
+
+def roll_out_all(study: Study, tracing: Tracing, chunk: Sequence[Task]) -> list[Made]:
+    """Return the rollouts of a chunk."""
+    return [roll_out(study, task, tracing) for task in chunk]
 
 
 def row_schema(study: Study) -> dict[str, type[pl.DataType]]:
     """Return the columns of a table of rollouts."""
     return {
         "identity": pl.String,
-        "row": pl.Int64,
-        **{factor.column: pl.Float64 for factor in study.factors},
+        **{"row": pl.Int64, "repeat": pl.Int64},
+        **{factor.column: pl.Float64 for factor in study.columns},
         **{"controller": pl.String, "seed": pl.Int64, "outcome": pl.String, "reason": pl.String},
         **dict.fromkeys((*study.measures, *TIMING), pl.Float64),
     }
 
 
-def roll_out_all(study: Study, chunk: Sequence[Task]) -> list[dict[str, Any]]:
-    """Return the rows of a chunk of rollouts."""
-    return [roll_out(study, task) for task in chunk]
+def _plain(value: float | None) -> float | None:
+    return None if value is None else float(value)
 
 
-def _what_is_wrong(study: Study, measures: Measures) -> str:
-    missing = [name for name in study.measures if name not in measures]
+def _attempt(study: Study, setting: Setting, task: Task) -> Trial:
+    """Return what becomes of one rollout."""
+    wanted = study.system.measures
+    measures: Measures = {}
+    try:
+        with np.errstate(all="ignore"):
+            measures = study.system.run(setting, task.controller, task.seed).measures
+        reason = _what_is_wrong(wanted, measures)
+    except DivergedError as error:
+        reason = str(error)
+    except Exception as error:
+        reason = f"{type(error).__name__}: {' '.join(str(error).split())}"
+    if reason:
+        return Trial(OutcomeClass.DIVERGED, reason, dict.fromkeys(wanted))
+    return Trial(classify(measures), "", {name: measures[name] for name in wanted})
+
+
+def _find(study: Study, search: Boundary | Worst, setting: Setting, task: Task) -> Trial:
+    """Return what a search at one point finds."""
+    place = Place(study.system, study.factors, setting, task.controller, task.seed)
+    try:
+        return search.find(place, lambda at: _attempt(study, at, task))
+    except Exception as error:
+        reason = f"{type(error).__name__}: {' '.join(str(error).split())}"
+        return Trial(OutcomeClass.DIVERGED, reason, dict.fromkeys(study.measures))
+
+
+def _trace(study: Study, setting: Setting, task: Task) -> bytes:
+    """Return every tick of a rollout that is made once more, as a Parquet file.
+
+    A rollout that ends with an error, and so without a record, leaves a table without rows.
+    """
+    try:
+        with np.errstate(all="ignore"):
+            table = study.system.run(setting, task.controller, task.seed, full=True).table
+    except DivergedError as error:
+        table = error.table
+    except Exception:
+        table = pl.DataFrame()
+    file = io.BytesIO()
+    table.write_parquet(file, compression="zstd", statistics=False)
+    return file.getvalue()
+
+
+def _what_is_wrong(wanted: Any, measures: Measures) -> str:
+    missing = [name for name in wanted if name not in measures]
     if missing:
         return f"no {', '.join(missing)}"
     known = {name: value for name, value in measures.items() if value is not None}

@@ -5,10 +5,10 @@ whole, whenever the process ends. A row counts as done when its file has its fin
 """
 
 import contextlib
-import fcntl
+import hashlib
 import json
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,10 +16,11 @@ import polars as pl
 from polars.exceptions import PolarsError
 
 from qpctrl.errors import InputError
-from scenarios.study.rollout import row_schema
-from scenarios.study.study import Plan, digest
+from scenarios.study.plan import Plan
+from scenarios.study.rollout import Made, row_schema
+from scenarios.study.study import Study, without_reading
 
-MANIFEST, CHUNKS, LOCK = "study.json", "chunks", ".lock"
+MANIFEST, CHUNKS, TRACES, LOCK = "study.json", "chunks", "traces", ".lock"
 UNFINISHED = ".writing-"
 """Start of the name of a file that is being written."""
 
@@ -30,38 +31,45 @@ class Store(NamedTuple):
     folder: Path
     plan: Plan
 
-    def done(self) -> set[str]:
-        """Return the identities of the rows that are there.
+    def done(self) -> pl.DataFrame:
+        """Return identity and outcome of each row that is there.
 
         Raises:
             InputError: a file cannot be read, or a row is there twice.
         """
-        return set(read_identities(self.folder))
+        return read_done(self.folder)
 
-    def add(self, rows: Sequence[dict[str, Any]]) -> None:
-        """Keep the rows of a chunk; all of them or none.
+    def add(self, made: Sequence[Made]) -> None:
+        """Keep the rows of a chunk, all of them or none, and the traces that belong to them.
 
         Raises:
-            InputError: the file cannot be written.
+            InputError: a file cannot be written.
         """
+        for rollout in made:
+            if rollout.trace is not None:
+                _make(self.folder / TRACES)
+                name = f"{rollout.row['identity'][:24]}.parquet"
+                with _written(self.folder / TRACES / name) as unfinished:
+                    unfinished.write_bytes(rollout.trace)
+        rows = [rollout.row for rollout in made]
         table = pl.DataFrame(rows, schema=row_schema(self.plan.study), orient="row")
-        name = digest([row["identity"] for row in rows])[:24]
-        with _written(self.folder / CHUNKS / f"{name}.parquet") as path:
-            table.write_parquet(path, compression="zstd", statistics=False)
+        name = hashlib.sha256("".join(table["identity"]).encode()).hexdigest()[:24]
+        with _written(self.folder / CHUNKS / f"{name}.parquet") as unfinished:
+            table.write_parquet(unfinished, compression="zstd", statistics=False)
 
     def table(self) -> pl.DataFrame:
-        """Return all rows that are there, in the order of the plan.
+        """Return the rows of the finished study, in the order of the plan.
 
         Raises:
-            InputError: a file cannot be read.
+            InputError: a file cannot be read, or there are other rows than those of the plan.
         """
-        pieces = [_read(path) for path in chunk_files(self.folder)]
-        empty = pl.DataFrame(schema=row_schema(self.plan.study))
-        order = pl.DataFrame(
-            {"identity": [task.identity for task in self.plan.tasks]},
-            schema={"identity": pl.String},
-        )
-        return order.join(pl.concat([empty, *pieces]), on="identity", maintain_order="left")
+        table = read_rows(self.folder, self.plan.study)
+        if len(table) != len(self.plan):
+            raise InputError(
+                f"folder {str(self.folder)!r} holds {len(table)} rows, need the {len(self.plan)} "
+                "of this study and no others"
+            )
+        return table
 
 
 @contextlib.contextmanager
@@ -85,14 +93,14 @@ def open_store(folder: Path, plan: Plan, *, resume: bool) -> Iterator[Store]:
             f"folder {str(folder)!r} is not empty and holds no study; give another --out"
         )
     with _locked(folder):
-        for left in (*folder.glob(UNFINISHED + "*"), *folder.glob(f"{CHUNKS}/{UNFINISHED}*")):
-            left.unlink(missing_ok=True)
+        for place in (folder, folder / CHUNKS, folder / TRACES):
+            for left in place.glob(UNFINISHED + "*"):
+                with _refusing(left):
+                    left.unlink(missing_ok=True)
         if (folder / MANIFEST).exists():
             _check_same(folder, plan, resume=resume)
-        else:
-            write_text(folder / MANIFEST, json_text(plan.manifest()))
-        with _refusing(folder):
-            (folder / CHUNKS).mkdir(exist_ok=True)
+        write_text(folder / MANIFEST, json_text(plan.manifest()))
+        _make(folder / CHUNKS)
         yield Store(folder, plan)
 
 
@@ -108,21 +116,37 @@ def read_manifest(folder: Path) -> dict[str, Any]:
         raise InputError(f"folder {str(folder)!r} holds no study: no {MANIFEST}") from error
     except (OSError, ValueError) as error:
         raise InputError(f"{str(folder / MANIFEST)!r} cannot be read: {error}") from error
-    if not isinstance(found, dict) or not {"study", "code", "rows"} <= found.keys():
+    rows = found.get("rows") if isinstance(found, dict) else None
+    if not isinstance(rows, int) or not {"study", "configuration", "code"} <= found.keys():
         raise InputError(f"{str(folder / MANIFEST)!r} is not that of a study")
     return found
 
 
-def read_identities(folder: Path) -> list[str]:
-    """Return the identities of the rows in ``folder``.
+def read_done(folder: Path) -> pl.DataFrame:
+    """Return ``identity`` and ``outcome`` of each row in ``folder``.
 
     Raises:
         InputError: a file cannot be read, or a row is there twice.
     """
-    found = [x for path in chunk_files(folder) for x in _read(path, ["identity"])["identity"]]
-    if len(set(found)) < len(found):
-        raise InputError(f"folder {str(folder)!r}: {len(found) - len(set(found))} rows are twice")
+    schema = dict.fromkeys(("identity", "outcome"), pl.String)
+    found = pl.concat([pl.DataFrame(schema=schema), *_pieces(folder, schema)])
+    twice = len(found) - found["identity"].n_unique()
+    if twice:
+        raise InputError(f"folder {str(folder)!r}: {twice} rows are twice")
     return found
+
+
+def read_rows(folder: Path, study: Study) -> pl.DataFrame:
+    """Return the rows of ``study`` in ``folder``: by point, repeat and controller, in its order.
+
+    Raises:
+        InputError: a file cannot be read.
+    """
+    schema = row_schema(study)
+    table = pl.concat([pl.DataFrame(schema=schema), *_pieces(folder, schema)])
+    place = {name: i for i, name in enumerate(study.controllers)}
+    order = pl.col("controller").replace_strict(place, return_dtype=pl.Int64)
+    return table.sort("row", "repeat", order)
 
 
 def chunk_files(folder: Path) -> list[Path]:
@@ -147,18 +171,16 @@ def json_text(value: Any) -> str:
 
 def _check_same(folder: Path, plan: Plan, *, resume: bool) -> None:
     """Refuse a folder whose results are not those of ``plan``, and name the first difference."""
-    found, own = read_manifest(folder), json.loads(json_text(plan.manifest()))
-    for part in ("study", "configuration", "seed", "code", "rows"):
-        theirs, ours = found.get(part), own[part]
-        if theirs == ours:
-            continue
-        name = part
-        if isinstance(theirs, dict) and isinstance(ours, dict):
-            key = next(k for k in (*ours, *theirs) if theirs.get(k) != ours.get(k))
-            name, theirs, ours = f"{part}.{key}", theirs.get(key), ours.get(key)
+    theirs: Any = _inputs(read_manifest(folder))
+    ours: Any = _inputs(json.loads(json_text(plan.manifest())))
+    name = ""
+    while theirs != ours and isinstance(theirs, dict) and isinstance(ours, dict):
+        key = next(k for k in (*ours, *theirs) if theirs.get(k) != ours.get(k))
+        name, theirs, ours = f"{name}.{key}", theirs.get(key), ours.get(key)
+    if theirs != ours:
         raise InputError(
-            f"folder {str(folder)!r} holds another study: {name} is {theirs!r} there and {ours!r} "
-            "here; give another --out"
+            f"folder {str(folder)!r} holds another study: {name[1:]} is {theirs!r} there and "
+            f"{ours!r} here; give another --out"
         )
     if not resume:
         raise InputError(
@@ -167,19 +189,41 @@ def _check_same(folder: Path, plan: Plan, *, resume: bool) -> None:
         )
 
 
+def _inputs(manifest: dict[str, Any]) -> dict[str, Any]:
+    """Return what rows depend on."""
+    return {**manifest, "configuration": without_reading(manifest["configuration"])}
+
+
 @contextlib.contextmanager
 def _locked(folder: Path) -> Iterator[None]:
     """Hold the folder's lock, which ends with the process, however that ends."""
-    with _refusing(folder):
+    try:
+        import fcntl
+    except ImportError as error:
+        raise InputError(
+            "studies lock their folder as POSIX systems do: need Linux or macOS"
+        ) from error
+    with _refusing(folder / LOCK):
         handle = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT, 0o644)
     try:
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
+        except BlockingIOError as error:
             raise InputError(f"folder {str(folder)!r} is in use by another process") from error
+        except OSError as error:
+            said = f"folder {str(folder)!r} cannot be locked: {error.strerror}"
+            raise InputError(said) from error
         yield
     finally:
         os.close(handle)
+
+
+def _make(folder: Path) -> None:
+    """Make a folder that is there after a crash of the machine, too."""
+    with _refusing(folder):
+        if not folder.is_dir():
+            folder.mkdir()
+            _sync(folder.parent)
 
 
 @contextlib.contextmanager
@@ -216,11 +260,13 @@ def _sync(path: Path) -> None:
         os.close(handle)
 
 
-def _read(path: Path, columns: list[str] | None = None) -> pl.DataFrame:
-    try:
-        return pl.read_parquet(path, columns=columns)
-    except (OSError, PolarsError) as error:
-        said = " ".join(str(error).split())
-        raise InputError(
-            f"{str(path)!r} cannot be read ({said}); remove it and go on with --resume"
-        ) from error
+def _pieces(folder: Path, schema: Mapping[str, Any]) -> Iterator[pl.DataFrame]:
+    """Yield some columns of each file of finished rows."""
+    for path in chunk_files(folder):
+        try:
+            yield pl.read_parquet(path, columns=list(schema)).match_to_schema(schema)
+        except (OSError, PolarsError) as error:
+            said = " ".join(str(error).split())
+            raise InputError(
+                f"{str(path)!r} cannot be read ({said}); remove it and go on with --resume"
+            ) from error

@@ -1,147 +1,225 @@
-"""What a study is, and its plan: every rollout it consists of, each with its identity."""
+"""What a study is: a system, what varies in it and how, who controls it, and when it passes."""
 
-import dataclasses
-import hashlib
 import json
 from collections.abc import Mapping
-from pathlib import Path
-from typing import Any, NamedTuple, Protocol, TypeAlias
+from dataclasses import asdict, dataclass, field
+from typing import Any, Literal, get_args
 
-import numpy as np
 import polars as pl
 
-import qpctrl
-import scenarios
-import tasks
 from qpctrl.arrays import Matrix
-from qpctrl.errors import InputError
-from scenarios.panel import Panel
-from scenarios.run import versions
+from qpctrl.errors import InputError, unknown_name
 from scenarios.scenario import Criterion
+from scenarios.study.design import Design
 from scenarios.study.factor import Factor
+from scenarios.study.outcome import OutcomeClass
+from scenarios.study.search import Boundary, Worst, load_optuna
+from scenarios.study.system import Setting, System
 
-Measures: TypeAlias = Mapping[str, float | None]
-"""Numbers of one rollout by name; none where the rollout has no such quantity."""
+Statistic = Literal["max", "mean", "min"]
+
+READING = ("summary", "show", "criteria", "published")
+"""Keys of a configuration that say how rows are read; a change of them makes no row anew."""
 
 
-class Study(Protocol):
-    """Frozen parameters of one study; a dataclass that can be sent to another process."""
+@dataclass(frozen=True, kw_only=True)
+class Limit:
+    """A condition of success: a statistic of a measure over the rollouts is at most ``limit``."""
+
+    measure: str
+    """A measure of the rollouts, or a class of outcomes: the share of rollouts that end so."""
+    limit: float
+    """Largest value, in the unit of the measure."""
+    statistic: Statistic = "max"
+    """Over all rollouts that have the measure. A gap that is missing where its closed form is
+    known is no number, and misses any limit."""
+    controllers: tuple[str, ...] = ()
+    """Controllers whose rollouts count; none given: all."""
+
+    def __post_init__(self) -> None:
+        if self.statistic not in get_args(Statistic):
+            raise unknown_name("statistic", self.statistic, get_args(Statistic))
+        if self.measure in set(OutcomeClass) and self.statistic != "max":
+            raise InputError(f"criterion {self.measure}: a share of rollouts has no statistic")
 
     @property
     def name(self) -> str:
-        """Name on the command line."""
+        """What is judged, in one word each."""
+        who = f" of {', '.join(self.controllers)}" if self.controllers else ""
+        if self.measure in set(OutcomeClass):
+            return f"share {self.measure}{who}"
+        return f"{self.statistic} {self.measure}{who}"
+
+    def judge(self, table: pl.DataFrame) -> Criterion:
+        """Return the criterion on the rows of a study."""
+        if self.controllers:
+            table = table.filter(pl.col("controller").is_in(self.controllers))
+        if self.measure in set(OutcomeClass):
+            values = (table["outcome"] == self.measure).cast(pl.Float64)
+            found = values.mean()
+        else:
+            values = table[self.measure].drop_nulls()
+            found = None if self._unanswered(table) else getattr(values, self.statistic)()
+        number = float("nan") if found is None else float(found)  # type: ignore[arg-type]
+        return Criterion(self.name, number, self.limit, "")
+
+    def _unanswered(self, table: pl.DataFrame) -> bool:
+        """Return whether a row has a closed form, but nothing that could be compared with it."""
+        closed = self.measure.removesuffix("_gap") + "_closed"
+        if not self.measure.endswith("_gap") or closed not in table.columns:
+            return False
+        return not table.filter(
+            pl.col(closed).is_not_null() & pl.col(self.measure).is_null()
+        ).is_empty()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Published:
+    """What others report of the same job."""
+
+    name: str
+    """Their controller."""
+    source: str
+    """Key into docs/references.md, or an address."""
+    note: str = ""
+    """What differs from ours."""
+    measures: Mapping[str, float] = field(default_factory=dict)
+    """Their numbers, by the name of our measure."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Study:
+    """Frozen description of a study; it can be sent to another process, and said in a file."""
+
+    name: str
+    summary: str
+    system: System
+    controllers: tuple[str, ...]
+    """They run side by side on every point of the design."""
+    factors: tuple[Factor, ...] = ()
+    """What varies."""
+    fixed: Setting = field(default_factory=dict)
+    """Parameters with a value of their own; the rest keep their usual one."""
+    design: Design = field(default_factory=Design)
+    repeats: int = 1
+    """Rollouts at each point, with other random numbers."""
+    search: Boundary | Worst | None = None
+    """What is sought at each point, by many rollouts; none: a point is one rollout. The worst is
+    sought over all factors at once, so there is one point and no design."""
+    show: tuple[str, ...] = ()
+    """Measures that are printed and drawn, the most telling first."""
+    criteria: tuple[Limit, ...] = ()
+    published: tuple[Published, ...] = ()
+
+    def __post_init__(self) -> None:
+        self._check_inputs()
+        self._check_outputs()
+
+    def _check_inputs(self) -> None:
+        parameters, names = self.system.parameters, [factor.name for factor in self.factors]
+        _check_names("controller", self.controllers, self.system.controllers)
+        _check_names("factor", names, parameters, empty=True)
+        for name, value in self.fixed.items():
+            if name not in parameters:
+                raise unknown_name("parameter", name, parameters)
+            if name in names:
+                raise InputError(f"parameter {name!r} is fixed and a factor, need one of them")
+            parameters[name].value(value, name)
+        for factor in self.factors:
+            for value in (factor.low, factor.high, *factor.values):
+                parameters[factor.name].value(value, factor.name)
+        if self.repeats < 1:
+            raise InputError(f"repeats: got {self.repeats}, need at least 1")
+        if self.search is not None:
+            self.search.check(self.system, names, self.fixed)
+        elif not self.factors and self.repeats == 1:
+            raise InputError("factors: got none and no repeats, need at least one of them")
+
+    def _check_outputs(self) -> None:
+        published = [name for one in self.published for name in one.measures]
+        for name in (*self.show, *published):
+            if name not in self.measures:
+                raise unknown_name("measure", name, self.measures)
+        for limit in self.criteria:
+            if limit.measure not in (*self.measures, *OutcomeClass):
+                raise unknown_name("measure", limit.measure, (*self.measures, *OutcomeClass))
+            if limit.controllers:
+                _check_names("controller", limit.controllers, self.controllers)
+        for factor in self.columns:
+            if factor.column in self.measures:
+                raise InputError(
+                    f"column {factor.column!r} would be both factor and measure of system "
+                    f"{self.system.name!r}; the measure needs another name there"
+                )
 
     @property
-    def summary(self) -> str:
-        """One line for the list of studies."""
+    def measures(self) -> Mapping[str, str]:
+        """Words of each number of a row, by name."""
+        if self.search is None:
+            return self.system.measures
+        return self.search.measures(self.system, self.factors)
 
     @property
-    def controllers(self) -> tuple[str, ...]:
-        """Controllers that run side by side on every point of the design."""
+    def columns(self) -> tuple[Factor, ...]:
+        """Factors that have a column of their own; those that are searched have a measure."""
+        return () if isinstance(self.search, Worst) else self.factors
 
-    @property
-    def factors(self) -> tuple[Factor, ...]:
-        """What varies."""
+    def points(self, seed: int) -> Matrix:
+        """Return the points of the design (points × columns), in the factors' units.
 
-    @property
-    def measures(self) -> tuple[str, ...]:
-        """Names of the numbers that `run` returns."""
-
-    @property
-    def shown(self) -> Mapping[str, str]:
-        """Heads of the printed table by name of the measure."""
-
-    def design(self, seed: int) -> Matrix:
-        """Return the points (points × factors), in the factors' units."""
-
-    def run(self, point: Mapping[str, float], controller: str, seed: int) -> Measures:
-        """Return the measures of one rollout; it may raise, and its numbers may be anything.
-
-        Args:
-            point: value of each factor by name.
-            controller: one of `controllers`.
-            seed: of every random number of the rollout, the same for all controllers.
+        Raises:
+            InputError: a design that cannot be made, or whose package is not installed.
         """
+        if isinstance(self.search, Worst):
+            load_optuna()
+        usual = {name: p.usual for name, p in self.system.parameters.items()} | dict(self.fixed)
+        return self.design.points(self.columns, usual, seed)
+
+    def setting(self, point: Mapping[str, float]) -> Setting:
+        """Return the value of every parameter of the system at a point."""
+        usual = {name: p.usual for name, p in self.system.parameters.items()}
+        return {**usual, **self.fixed, **point}
 
     def judge(self, table: pl.DataFrame) -> tuple[Criterion, ...]:
-        """Return the study's own criteria on its rows."""
+        """Return the study's criteria on its rows."""
+        return tuple(limit.judge(table) for limit in self.criteria)
 
-    def panels(self, table: pl.DataFrame) -> tuple[Panel, ...]:
-        """Return the pictures of the study."""
-
-
-class Task(NamedTuple):
-    """One rollout to make."""
-
-    identity: str
-    """SHA-256 of study, point, controller, seed and code version."""
-    row: int
-    """Row of the design."""
-    point: tuple[float, ...]
-    """Value of each factor, in its unit."""
-    controller: str
-    seed: int
-    """Common to all controllers at this point."""
-
-
-class Plan(NamedTuple):
-    """All rollouts of a study, and what their results depend on."""
-
-    study: Study
-    seed: int
-    code: dict[str, str]
-    """Versions that results depend on; ``source`` is that of this code."""
-    tasks: tuple[Task, ...]
-
-    def manifest(self) -> dict[str, Any]:
-        """Return what study.json holds."""
-        return {
-            "study": self.study.name,
-            "configuration": configuration(self.study),
-            "seed": self.seed,
-            "code": self.code,
-            "rows": len(self.tasks),
+    def configuration(self) -> dict[str, Any]:
+        """Return the study as its file would say it, with every default filled in."""
+        factors = {
+            f.name: {"values": f.values}
+            if f.values
+            else {"low": f.low, "high": f.high, "distribution": f.distribution}
+            for f in self.factors
         }
+        plain = {
+            **{"name": self.name, "summary": self.summary, "system": self.system.name},
+            **{"controllers": self.controllers, "repeats": self.repeats, "show": self.show},
+            **{"factors": factors, "fixed": dict(self.fixed)},
+            **({} if isinstance(self.search, Worst) else {"design": asdict(self.design)}),
+            **({self.search.kind: asdict(self.search)} if self.search else {}),
+            "criteria": [asdict(limit) for limit in self.criteria],
+            "published": [asdict(one) for one in self.published],
+        }
+        return dict(json.loads(json.dumps(plain, allow_nan=False)))
+
+    def inputs(self) -> dict[str, Any]:
+        """Return what its rows depend on: the configuration without what is read from them."""
+        return without_reading(self.configuration())
 
 
-def plan_study(study: Study, seed: int) -> Plan:
-    """Return every rollout of ``study``: each point of its design with each controller.
-
-    Raises:
-        InputError: a negative seed, or a design that cannot be made.
-    """
-    if seed < 0:
-        raise InputError(f"seed: got {seed}, need a number >= 0")
-    code = code_version()
-    shared = {"study": study.name, "configuration": configuration(study), "code": code}
-    tasks = []
-    for index, row in enumerate(study.design(seed)):
-        point = tuple(float(x) for x in row)
-        own = int(np.random.SeedSequence([seed, index]).generate_state(1)[0])
-        for controller in study.controllers:
-            identity = digest({**shared, "point": point, "controller": controller, "seed": own})
-            tasks.append(Task(identity, index, point, controller, own))
-    return Plan(study, seed, code, tuple(tasks))
+def without_reading(configuration: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a configuration without what says only how its rows are read."""
+    return {key: value for key, value in configuration.items() if key not in READING}
 
 
-def configuration(study: Study) -> dict[str, Any]:
-    """Return the parameters of a study as JSON knows them."""
-    plain = dataclasses.asdict(study)  # type: ignore[call-overload]
-    return dict(json.loads(json.dumps(plain, allow_nan=False)))
-
-
-def digest(value: Any) -> str:
-    """Return the SHA-256 of a value in its one canonical spelling."""
-    text = json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
-    return hashlib.sha256(text.encode()).hexdigest()
-
-
-def code_version() -> dict[str, str]:
-    """Return the versions that results depend on: of packages, and of this code's own files."""
-    seen = hashlib.sha256()
-    for package in (qpctrl, tasks, scenarios):
-        root = Path(package.__path__[0])
-        for path in sorted(p for p in root.rglob("*") if p.suffix in (".py", ".xml")):
-            seen.update(f"{package.__name__}/{path.relative_to(root).as_posix()}\0".encode())
-            seen.update(path.read_bytes())
-    return {"source": seen.hexdigest()[:16], **versions()}
+def _check_names(
+    kind: str, given: tuple[str, ...] | list[str], known: Any, *, empty: bool = False
+) -> None:
+    if not given and not empty:
+        raise InputError(f"{kind}s: got none, need at least one of {', '.join(known)}")
+    for name in given:
+        if name not in known:
+            raise unknown_name(kind, name, known)
+    if len(set(given)) < len(given):
+        raise InputError(f"{kind}s: got {', '.join(given)}, need each once")

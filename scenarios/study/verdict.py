@@ -1,0 +1,192 @@
+"""Verdicts in words: what each controller achieved, and how it compares with the others.
+
+A controller is above or below another in a measure only where their intervals do not overlap,
+where both have the measure in every rollout, and where there are rollouts enough; in its share of
+failures only where those intervals do not overlap. A measure is compared if less of it is better:
+an error, a loss, a time. One that has a sign, or a right value, is told as a range.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from scenarios.report_style import number
+
+FEWEST = 20
+"""Rollouts below which a bootstrap interval is too narrow to tell controllers apart."""
+
+COSTS = {
+    *("mae", "rmse", "rms", "p95", "peak", "spread", "error", "accuracy", "repeatability"),
+    *("settling", "lost", "loss", "breaks", "saturated", "fallback"),
+}
+"""Parts of the name of a measure of which less is better."""
+
+FAILED = {"diverged": "diverged", "lost": "lost contact", "chatter": "chattered"}
+WORSE = {"saturated": "at a limit", "degraded": "degraded"}
+ORDINALS = {2: "second", 3: "third"}
+SURE = "95\u00a0%"
+NOT_FOUND = {
+    "holds up to the end": "nothing gives way up to the end at {}",
+    "does not hold at the start": "it does not hold at the start at {}",
+}
+"""Reasons of a boundary search without a number, in words."""
+
+
+def verdicts(summary: Mapping[str, Any]) -> dict[str, str]:
+    """Return the verdict on each controller.
+
+    Args:
+        summary: what summary.json holds.
+    """
+    found = summary["controllers"]
+    return {name: "; ".join(_clauses(summary, name)) for name in found}
+
+
+def is_cost(summary: Mapping[str, Any], measure: str) -> bool:
+    """Return whether less of a measure is better, so that controllers can be compared in it."""
+    known = _measured(summary, measure).values()
+    return bool(COSTS.intersection(measure.split("_"))) and all(one["min"] >= 0 for one in known)
+
+
+def is_signed(summary: Mapping[str, Any], measure: str) -> bool:
+    """Return whether a measure goes both ways, so that its mean says nothing."""
+    known = list(_measured(summary, measure).values())
+    return any(one["min"] < 0 for one in known) and any(one["max"] > 0 for one in known)
+
+
+def standing(summary: Mapping[str, Any], measure: str, controller: str) -> str:
+    """Return how a controller compares with the others in a measure; nothing if that is open."""
+    known = {n: one for n, one in _measured(summary, measure).items() if _ranked(summary, n, one)}
+    if controller not in known or not is_cost(summary, measure):
+        return ""
+    return _compared(known, controller, "best", "worst")
+
+
+def failure_standing(summary: Mapping[str, Any], controller: str) -> str:
+    """Return how often a controller fails, compared with the others; nothing if none does."""
+    rates = {n: one["failed"] for n, one in summary["controllers"].items() if one["rows"]}
+    if not any(one["value"] > 0 for one in rates.values()):
+        return ""
+    return _compared(rates, controller, "fewest failures", "most failures")
+
+
+def _compared(
+    known: Mapping[str, Mapping[str, float]], controller: str, best: str, worst: str
+) -> str:
+    """Return the place of a controller's interval among those of all; less is better."""
+    others = dict(known)
+    own = others.pop(controller)
+    if not others:
+        return ""
+    better = [name for name, one in others.items() if one["high"] < own["low"]]
+    worse = [name for name, one in others.items() if one["low"] > own["high"]]
+    alike = [name for name in others if name not in (*better, *worse)]
+    if not alike:
+        place, of = len(better) + 1, len(others) + 1
+        if place in (1, of):
+            return f"{best if place == 1 else worst} of {of}"
+        return f"{ORDINALS.get(place, f'{place}th')} of {of}"
+    behind = f", more than {_and(better)}" if better else ""
+    return f"not distinguishable from {_and(alike)}{behind}"
+
+
+def measure_text(summary: Mapping[str, Any], measure: str, one: Mapping[str, float]) -> str:
+    """Return a measure of a controller in words: its mean and interval, or its range."""
+    words, unit = (summary["measures"][measure][key] for key in ("words", "unit"))
+    unit = f" {unit}" if unit else ""
+    words += ":" if words[-1:].isdigit() else ""
+    if one["rollouts"] == 1:
+        return f"{words} {number(one['value'])}{unit}"
+    if not is_cost(summary, measure):
+        return f"{words.removesuffix(':')}: {span(one['min'], one['max'])}{unit}"
+    interval = f"{SURE}: {number(one['low'])} … {number(one['high'])}"
+    return f"{words} {number(one['value'])}{unit} ({interval})"
+
+
+def percent(rate: Mapping[str, float]) -> str:
+    """Return a share with its interval: ``4.3 %, 95 %: 1.5 … 11.9 %``."""
+    value, low, high = (number(100 * rate[key]) for key in ("value", "low", "high"))
+    return f"{value}\u00a0%, {SURE}: {low} … {high}\u00a0%"
+
+
+def span(low: float, high: float, digits: int = 3) -> str:
+    """Return a range, or its one value where the two are written the same."""
+    ends = number(low, digits), number(high, digits)
+    return ends[0] if ends[0] == ends[1] else " … ".join(ends)
+
+
+def _clauses(summary: Mapping[str, Any], name: str) -> list[str]:
+    one = summary["controllers"][name]
+    if not one["rows"]:
+        return ["no rollouts yet"]
+    boundary = "boundary" in summary["configuration"]
+    found = [_search(one)] if boundary else _outcomes(summary, name)
+    compared = False
+    for measure, values in one["measures"].items():
+        if measure not in _shown(summary):
+            continue
+        place = standing(summary, measure, name)
+        said = [measure_text(summary, measure, values), place]
+        if gap := one["measures"].get(f"{measure}_gap"):
+            said.append(f"within {number(gap['max'])} of its closed form")
+        found.append(", ".join(words for words in said if words))
+        compared |= is_cost(summary, measure)
+    if compared and len(summary["controllers"]) > 1:
+        found += _unranked(one)
+    return found
+
+
+def _outcomes(summary: Mapping[str, Any], name: str) -> list[str]:
+    """Return in how many rollouts the contact was kept, or how the others ended."""
+    one = summary["controllers"][name]
+    rows, counts = one["rows"], one["outcomes"]
+    kind = "searches" if "worst" in summary["configuration"] else "rollouts"
+    standing = failure_standing(summary, name)
+    bad = {words: counts[kind] for kind, words in FAILED.items() if counts[kind]}
+    if bad:
+        found = [f"{_listed(bad)} of {rows} {kind} ({percent(one['failed'])})"]
+    elif summary["contact"]:
+        found = [f"keeps contact in all {rows} rollouts" if rows > 1 else "keeps contact"]
+    else:
+        found = [f"none of {rows} {kind} failed" if rows > 1 else "did not fail"]
+    found[0] += f", {standing}" if standing else ""
+    if worse := {words: counts[kind] for kind, words in WORSE.items() if counts[kind]}:
+        found.append(", ".join(f"{words} in {count}" for words, count in worse.items()))
+    return found
+
+
+def _search(one: Mapping[str, Any]) -> str:
+    """Return at how many points a search found what it sought."""
+    reasons, rows = dict(one["reasons"]), one["rows"]
+    found = [f"found at {reasons.pop('', 0)} of {rows} points"]
+    found += [NOT_FOUND[why].format(reasons.pop(why)) for why in NOT_FOUND if why in reasons]
+    if other := sum(reasons.values()):
+        found.append(f"failed at {other}")
+    return ", ".join(found)
+
+
+def _unranked(one: Mapping[str, Any]) -> list[str]:
+    rows = one["rows"]
+    if missing := one["outcomes"]["diverged"]:
+        return [f"its numbers are of the other {rows - missing}, so it is not ranked"]
+    return [f"{rows} rollouts are too few to rank it"] if rows < FEWEST else []
+
+
+def _ranked(summary: Mapping[str, Any], name: str, one: Mapping[str, float]) -> bool:
+    return one["rollouts"] == summary["controllers"][name]["rows"] >= FEWEST
+
+
+def _measured(summary: Mapping[str, Any], measure: str) -> dict[str, Mapping[str, float]]:
+    found = {name: one["measures"].get(measure) for name, one in summary["controllers"].items()}
+    return {name: one for name, one in found.items() if one is not None}
+
+
+def _shown(summary: Mapping[str, Any]) -> Sequence[str]:
+    return summary["configuration"]["show"] or tuple(summary["measures"])[:1]
+
+
+def _listed(counts: Mapping[str, int]) -> str:
+    return _and([f"{words} in {count}" for words, count in counts.items()])
+
+
+def _and(names: Sequence[str]) -> str:
+    return " and ".join((", ".join(names[:-1]), names[-1])) if len(names) > 1 else names[0]
