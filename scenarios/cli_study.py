@@ -1,22 +1,20 @@
-"""The command ``qpctrl study NAME | FILE.toml | list | status DIR | query DIR SQL``."""
+"""The command ``qpctrl study NAME | FILE.toml | list | system | status DIR | query DIR SQL``."""
 
-import contextlib
 import dataclasses
 import json
 import sys
-from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from rich import progress
-from rich.console import Console
 from rich.table import Table
 
 from qpctrl.errors import InputError
 from scenarios.cli_study_print import print_campaign, print_rows
-from scenarios.command import interactive, parse
+from scenarios.cli_study_progress import outcomes_text, study_progress
+from scenarios.cli_study_system import system_command
+from scenarios.command import parse
 from scenarios.console import console
-from scenarios.study.campaign import Progress, run_study, status
+from scenarios.study.campaign import run_study, status
 from scenarios.study.cluster import dask_machine, jobqueue_machine
 from scenarios.study.machine import Machine, ProcessPool
 from scenarios.study.plan import Plan
@@ -28,6 +26,7 @@ from scenarios.study.study_file import find_study, read_study, ready_studies, st
 
 USAGE = f"""usage: qpctrl study NAME|FILE.toml [--help]
        qpctrl study list
+       qpctrl study system [NAME]
        qpctrl study status DIR
        qpctrl study query DIR "SQL"
 
@@ -36,10 +35,15 @@ studies: {", ".join(ready_studies())}
 examples:
   qpctrl study tilt --size 21 --range tilt=-10:10 --controllers qp textbook
   qpctrl study tilt --out runs/tilt --resume
+  qpctrl study system wipe         # what can be set, varied and measured
   qpctrl study tilt --toml > mine.toml
   qpctrl study mine.toml --workers 4
   qpctrl study query runs/tilt "SELECT controller, max(force_ratio) FROM rows GROUP BY controller"
 """
+
+
+LOOKS = ("list", "system", "status", "query")
+"""What looks at studies and runs none."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -68,8 +72,8 @@ class Running:
     """TOML file of a batch system's cluster that is started for the study."""
     traces: int = 0
     """Keep every tick of so many rows of the design, of those that are made in this run."""
-    failure_traces: bool = False
-    """Keep every tick of the rollouts that diverged, lost contact or chattered."""
+    no_failure_traces: bool = False
+    """Do not keep every tick of the rollouts that diverged, lost contact or chattered."""
     seed: int = 0
     """Seed of the design and of every random number."""
     toml: bool = False
@@ -93,12 +97,12 @@ def study_command(arguments: list[str]) -> bool:
         InputError: an unknown study, or flags or a folder that cannot be used.
     """
     if not arguments:
-        names = ", ".join(ready_studies())
-        raise InputError(f"missing NAME; allowed: {names}, FILE.toml, list, status, query, --help")
+        names = ", ".join((*ready_studies(), "FILE.toml", *LOOKS))
+        raise InputError(f"missing NAME; allowed: {names}, --help")
     if arguments[0] in ("-h", "--help"):
         print(USAGE, end="")
         return True
-    looks = {"list": _list, "status": _status, "query": _query}
+    looks = {"list": _list, "system": system_command, "status": _status, "query": _query}
     return looks.get(arguments[0], _run)(arguments)
 
 
@@ -122,7 +126,7 @@ def _run(arguments: list[str]) -> bool:
     plan, folder = Plan(study, given.seed), given.out or Path("runs") / f"study-{study.name}"
     machine, tracing = _machine(given), _tracing(given, plan)
     try:
-        with _progress(study.name) as watch:
+        with study_progress(study.name) as watch:
             campaign = run_study(
                 plan, machine, folder, resume=given.resume, tracing=tracing, watch=watch
             )
@@ -191,10 +195,10 @@ def _machine(given: Running) -> Machine:
 def _tracing(given: Running, plan: Plan) -> Tracing:
     if given.traces < 0:
         raise InputError(f"traces: got {given.traces}, need a number >= 0")
-    if plan.study.search is not None and (given.traces or given.failure_traces):
+    if plan.study.search is not None and given.traces:
         raise InputError(f"traces: study {plan.study.name!r} searches, and keeps no ticks of that")
     rows = len(plan) // (plan.study.repeats * len(plan.study.controllers))
-    return Tracing(given.traces, rows, failures=given.failure_traces)
+    return Tracing(given.traces, rows, failures=not given.no_failure_traces)
 
 
 def _list(arguments: list[str]) -> bool:
@@ -239,7 +243,7 @@ def _status(arguments: list[str]) -> bool:
     if flags.json:
         print(json.dumps({**found._asdict(), "complete": found.done == found.rows}))
     else:
-        print(f"study {found.study}: {found.done} of {found.rows} rows{_outcomes(found)}")
+        print(f"study {found.study}: {found.done} of {found.rows} rows{outcomes_text(found)}")
     return found.done == found.rows
 
 
@@ -260,37 +264,3 @@ def _query(arguments: list[str]) -> bool:
     else:
         print_rows(table)
     return True
-
-
-def _outcomes(found: Progress) -> str:
-    said = ", ".join(f"{count} {kind}" for kind, count in sorted(found.outcomes.items()))
-    return f" ({said})" if said else ""
-
-
-@contextlib.contextmanager
-def _progress(name: str) -> Iterator[Callable[[Progress], None] | None]:
-    """Yield what shows rollouts, rate, time left and outcomes to a person, if there is one."""
-    if not interactive():
-        yield None
-        return
-    columns = (
-        *(progress.TextColumn("{task.description}"), progress.BarColumn()),
-        *(progress.MofNCompleteColumn(), progress.TextColumn("{task.fields[rate]}")),
-        *(progress.TextColumn("ETA"), progress.TimeRemainingColumn()),
-        progress.TextColumn("{task.fields[outcomes]}"),
-    )
-    with progress.Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(name, total=None, rate="", outcomes="")
-
-        def watch(found: Progress) -> None:
-            speed = bar.tasks[0].speed
-            rate = f"{speed:.2f} /s" if speed else ""
-            bar.update(
-                task,
-                completed=found.done,
-                total=found.rows,
-                rate=rate,
-                outcomes=_outcomes(found),
-            )
-
-        yield watch

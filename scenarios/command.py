@@ -1,6 +1,7 @@
 """Typed flags from dataclasses, with every refusal as one line."""
 
 import dataclasses
+import re
 import sys
 from collections.abc import Sequence
 from typing import NoReturn, TypeVar
@@ -29,6 +30,7 @@ def parse(kind: type[T], args: Sequence[str], *, prog: str, description: str) ->
     def refuse(event: parse_errors.ParseErrorEvent) -> NoReturn:
         raise InputError(_message(event, kind))
 
+    _check_each_once(kind, args)
     with parse_errors.on_parse_error(refuse):
         return tyro.cli(
             kind,
@@ -39,6 +41,27 @@ def parse(kind: type[T], args: Sequence[str], *, prog: str, description: str) ->
         )
 
 
+def _check_each_once(kind: type, args: Sequence[str]) -> None:
+    """Refuse a flag that is there twice, or a list without values: both would be dropped."""
+    given = [text.split("=")[0].replace("_", "-") for text in args if text.startswith("--")]
+    for flag in given:
+        if given.count(flag) > 1:
+            raise InputError(f"{flag}: got it twice; give all its values after one {flag}")
+    lists = [f"--{f.name.replace('_', '-')}" for f in _fields(kind) if "tuple" in str(f.type)]
+    for text, following in zip(args, (*args[1:], "--"), strict=False):
+        if text.replace("_", "-") in lists and following.startswith("--"):
+            raise InputError(f"{text}: needs a value")
+
+
+def _fields(kind: type) -> list[dataclasses.Field[object]]:
+    """Return the fields of a dataclass, those of nested dataclasses included."""
+    found: list[dataclasses.Field[object]] = []
+    for field in dataclasses.fields(kind):
+        nested = isinstance(field.type, type) and dataclasses.is_dataclass(field.type)
+        found += _fields(field.type) if nested else [field]  # type: ignore[arg-type]
+    return found
+
+
 def merged(name: str, parts: dict[str, type], own: type) -> type:
     """Return a dataclass with the fields of ``own`` and one field for each of ``parts``."""
     fields = [(key, part, dataclasses.field(default_factory=part)) for key, part in parts.items()]
@@ -47,13 +70,7 @@ def merged(name: str, parts: dict[str, type], own: type) -> type:
 
 def flags(kind: type) -> list[str]:
     """Return the flags of a dataclass, nested dataclasses included."""
-    found: list[str] = []
-    for field in dataclasses.fields(kind):
-        if isinstance(field.type, type) and dataclasses.is_dataclass(field.type):
-            found += flags(field.type)
-        else:
-            found.append("--" + field.name.replace("_", "-"))
-    return found
+    return [f"--{field.name.replace('_', '-')}" for field in _fields(kind)]
 
 
 def _message(event: parse_errors.ParseErrorEvent, kind: type) -> str:
@@ -67,13 +84,23 @@ def _message(event: parse_errors.ParseErrorEvent, kind: type) -> str:
         return str(unknown_name(f"value of {name}", event.value, event.choices))
     if isinstance(event, parse_errors.InstantiationFailure):
         where = f"{event.argument.display_name()}: " if event.argument else ""
-        return where + " ".join(str(event.message).split())
+        return where + _what_fits(" ".join(str(event.message).split()))
     if isinstance(event, parse_errors.BadValue):
         return f"{event.argument.display_name()}: needs a value"
     if isinstance(event, parse_errors.MissingArgs):
         names = ", ".join(item.arg.display_name() for item in event.missing_arguments)
         return f"missing {names}"
     return " ".join(type(event).__name__.split("_"))
+
+
+def _what_fits(said: str) -> str:
+    """Return what tyro says of a value that may be left out too, without how it tried."""
+    found = re.match(r"no type matching .* instantiated from \['(.*?)'\]", said)
+    kinds = [name for name in re.findall(r"<class '(\w+)'>", said) if name != "NoneType"]
+    if not found or not kinds:
+        return said
+    words = {"int": "a whole number", "float": "a number"}
+    return f"got {found[1]!r}, need {' or '.join(words.get(kind, kind) for kind in kinds)}"
 
 
 def interactive() -> bool:

@@ -15,7 +15,7 @@ from scenarios.robot_file import load_robot
 from scenarios.study.study_file import READY, read_study, study_of
 from scenarios.study.system import Rollout
 from scenarios.study.systems import SYSTEMS
-from scenarios.study.systems.arm_scene import arm
+from scenarios.study.systems.arm.scene import arm
 
 CLOSED_FORM = 1e-3  # relative, what the studies promise on the exact plant
 SMALL_MOTION = 2e-3  # mobility at home in the place of that at rest, some mm away
@@ -75,7 +75,7 @@ def test_ready_studies_judge_every_closed_form_that_they_show(name: str) -> None
     [
         ("hinge", ASIDE[0], ASIDE[1]),
         ("rows", {"rank_error": -1.0, "turn": 0.5}, {"rank_error": -1.0, "cutoff": 1.0}),
-        ("arm-on-plane", {"bias": 2.0, "tilt": 10.0}, {"bias": 2.0, "k_fi": 0.0}),
+        ("arm-on-plane", {"sensor_bias": 2.0, "tilt": 10.0}, {"sensor_bias": 2.0, "k_fi": 0.0}),
     ],
 )
 def test_a_rollout_does_not_depend_on_those_before_it(
@@ -259,8 +259,8 @@ def test_friction_adds_or_takes_force_with_the_way_of_the_slide(
 
 def test_a_biased_sensor_takes_its_share_of_the_set_point() -> None:
     """(f_d − b) / cos α with an integral; the reading's share K_fp / (1 + K_fp) of it without."""
-    flat, tilted = (measured("arm-on-plane", bias=2.0, tilt=tilt) for tilt in (0.0, 10.0))
-    proportional = measured("arm-on-plane", bias=2.0, k_fi=0.0)
+    flat, tilted = (measured("arm-on-plane", sensor_bias=2.0, tilt=tilt) for tilt in (0.0, 10.0))
+    proportional = measured("arm-on-plane", sensor_bias=2.0, k_fi=0.0)
     assert flat["force_ratio"] == pytest.approx(0.8, rel=1e-4)
     assert tilted["force_ratio"] == pytest.approx(0.8 / math.cos(math.radians(10)), rel=1e-4)
     assert proportional["force_ratio"] == pytest.approx(1 - 0.2 / 3, rel=1e-4)

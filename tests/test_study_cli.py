@@ -10,7 +10,7 @@ from typing import Any
 
 import polars as pl
 import pytest
-from scripted import Scripted
+from scripted import Scripted, squares
 
 from scenarios import cli_study
 from scenarios.cli import main
@@ -19,6 +19,7 @@ from scenarios.study.machine import Here
 from scenarios.study.plan import Plan
 from scenarios.study.store import chunk_files
 from scenarios.study.study_file import READY, read_study, ready_studies, study_of
+from scenarios.study.system import Measures, Setting
 from scenarios.study.systems import SYSTEMS
 
 MINE = """
@@ -45,6 +46,11 @@ limit = 99.0
 WORST = '\n[worst]\nmeasure = "value_N"\ntrials = 8\n'
 
 Typed = Callable[..., int]
+
+
+def loses_above_five(setting: Setting, controller: str, seed: int) -> Measures:
+    """Lose contact where x is large."""
+    return {**squares(setting, controller, seed), "longest_loss_ms": 9.0 * setting["x"]}
 
 
 @pytest.fixture
@@ -195,8 +201,32 @@ def test_traces_hold_every_tick_of_as_many_rows_as_asked(typed: Typed) -> None:
     kept = [pl.read_parquet(path) for path in Path("out/traces").iterdir()]
     assert len(kept) == 4
     assert sorted({table["x"][0] for table in kept}) == [0.0, 10.0]
-    typed("mine.toml", "--failure-traces", "--out", "none")
+    typed("mine.toml", "--out", "none")
     assert not Path("none/traces").exists()  # all is well
+
+
+def test_traces_hold_every_tick_of_what_failed_unless_they_are_not_wanted(typed: Typed) -> None:
+    SYSTEMS["scripted"] = Scripted(script=loses_above_five)  # the fixture puts the old one back
+    typed("mine.toml", "--out", "out")
+    rows = rows_in("out").filter(pl.col("outcome") == "lost")
+    assert rows["x_1"].to_list() == [10.0]
+    kept = [path.stem for path in Path("out/traces").iterdir()]
+    assert kept == [identity[:24] for identity in rows["identity"]]
+    typed("mine.toml", "--no-failure-traces", "--out", "bare")
+    assert not Path("bare/traces").exists()
+
+
+def test_a_system_says_what_can_be_set_varied_and_measured(
+    typed: Typed, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert typed("system") == 0
+    assert {"scripted", "wipe"} <= set(capsys.readouterr().out.split())
+    assert typed("system", "scripted") == 0
+    said = capsys.readouterr().out
+    assert all(name in said for name in (*Scripted.parameters, *Scripted.controllers, "value_N"))
+    assert typed("system", "scripted", "--json") == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["parameters"]["x"]["unit"] == Scripted.parameters["x"].unit
 
 
 def test_a_full_disk_is_one_line_and_what_is_finished_stays(
@@ -218,7 +248,13 @@ def test_a_full_disk_is_one_line_and_what_is_finished_stays(
 
 
 REFUSED = [
-    ("", "missing NAME; allowed: .*tilt.*, FILE.toml, list, status, query"),
+    ("mine.toml --set y=1 --set x=2", "--set: got it twice; give all its values after one --set"),
+    ("mine.toml --range x=1:2 --seed 1 --range=x=1:3", "--range: got it twice"),
+    ("mine.toml --controllers", "--controllers: needs a value"),
+    ("mine.toml --size 3.5", "--size: got '3.5', need a whole number"),
+    ("system scriptd", "unknown system 'scriptd'.*did you mean 'scripted'"),
+    ("system scripted --jsn", "did you mean '--json'"),
+    ("", "missing NAME; allowed: .*tilt.*, FILE.toml, list, system, status, query"),
     ("tlit", "unknown study 'tlit'.*did you mean 'tilt'"),
     ("none.toml", "study file 'none.toml': there is none"),
     ("mine.toml --range x=5:-5", "factor 'x': got low 5 and high -5 1, need low < high"),
@@ -234,10 +270,10 @@ REFUSED = [
     ("mine.toml --set y=1000", "parameter 'y': got 1000, need 0.01 to 100 m"),
     ("mine.toml --set z=1", "unknown parameter of system 'scripted' 'z'"),
     ("mine.toml --set colour=pink", "unknown value of 'colour' 'pink'; allowed: blue, green, red"),
-    ("mine.toml --set x=1", "factors: got none and no repeats"),
+    ("mine.toml --set x=1", "nothing varies: need a factor"),
     ("mine.toml --size 1", "design levels: got size 1, need at least 2"),
     ("mine.toml --size x", "--size: .*"),
-    ("mine.toml --repeats 0", "repeats: got 0, need at least 1"),
+    ("mine.toml --repeats 0", "repeats: got 0, need 1 to"),
     ("mine.toml --controllers three", "unknown controller 'three'; allowed: one, two"),
     ("mine.toml --controllers one one", "controllers: got one, one, need each once"),
     ("tilt --workers 0", "workers: got 0, need at least 1"),
@@ -304,7 +340,9 @@ def test_a_folder_that_holds_something_else_is_refused_and_left_as_it_is(
     shutil.rmtree("out")
 
 
-@pytest.mark.parametrize("command", ["", "tilt ", "list ", "status ", "status out ", "query "])
+@pytest.mark.parametrize(
+    "command", ["", "tilt ", "list ", "system ", "status ", "status out ", "query "]
+)
 def test_every_command_explains_itself(
     command: str, typed: Typed, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -94,7 +94,7 @@ def fill(machine: Machine, folder: Path) -> None:
         done = frozenset(store.done()["identity"])
         missing = iter([task for task in plan if task.identity not in done])
         chunks = iter(lambda: tuple(itertools.islice(missing, CHUNK)), ())
-        work = functools.partial(roll_out_all, study, Tracing())
+        work = functools.partial(roll_out_all, study, Tracing(), plan.code["source"])
         with contextlib.closing(machine.run(work, chunks)) as made:  # type: ignore[type-var]
             for rollouts in made:
                 store.add(rollouts)

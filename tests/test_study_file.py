@@ -1,6 +1,7 @@
 """Study files: what they say, what they are refused for, and that nothing of them is lost."""
 
 import re
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -169,11 +170,11 @@ BAD: list[tuple[dict[str, Any], str]] = [
     (said(controllers=[]), "controllers: got none"),
     (said(controllers="one"), "controllers: got 'one', need a list of names"),
     (said(controllers=[1]), r"controllers: got \[1\], need a list of names"),
-    (said(repeats=0), "repeats: got 0, need at least 1"),
+    (said(repeats=0), "repeats: got 0, need 1 to"),
     (said(repeats=1.5), "repeats: got 1.5, need a whole number"),
     (said(repeats=True), "repeats: got True, need a whole number"),
     (said(show=["valu_N"]), "unknown measure 'valu_N'.*did you mean 'value_N'"),
-    (said(factors={}), "factors: got none and no repeats"),
+    (said(factors={}), "nothing varies"),
     (said(factors=[1]), r"factors: got \[1\], need a table"),
     (said(factors={"x": 5}), "factor 'x': got 5, need a table"),
     (factor("z", low=0, high=1), "unknown parameter of system 'scripted' 'z'"),
@@ -299,3 +300,20 @@ def test_a_study_is_found_by_name_and_a_file_by_its_ending(tmp_path: Path) -> No
         find_study("statis")
     with pytest.raises(InputError, match=r"study file '.*none.toml': there is none"):
         find_study(str(tmp_path / "none.toml"))
+
+
+def test_the_files_that_the_docs_show_are_studies() -> None:
+    page = (Path(__file__).parents[1] / "docs" / "studies.md").read_text(encoding="utf-8")
+    whole, *searches = (
+        tomllib.loads(text) for text in re.findall(r"```toml\n(.*?)```", page, re.S)
+    )
+    shown = study_of({"name": "mine", **whole})
+    assert (shown.system.name, len(shown.factors), shown.criteria[0].limit) == (
+        "mass-on-wall",
+        2,
+        1e-3,
+    )
+    plain = {key: whole[key] for key in ("system", "controllers", "fixed")}
+    factors = {"factors": {"tilt": whole["factors"]["tilt"]}}
+    kinds = [study_of({"name": "mine", **plain, **factors, **one}).search for one in searches]
+    assert [one and one.kind for one in kinds] == ["boundary", "worst"]

@@ -298,3 +298,16 @@ def test_a_ready_study_of_the_mass_knows_the_answer_at_its_corners(name: str) ->
 def test_a_setting_out_of_bounds_is_refused_by_name() -> None:
     with pytest.raises(InputError, match=r"'tilt': got 50, need -45 to 45 deg"):
         MASS.parameters["tilt"].value(50.0, "tilt")
+
+
+def test_a_rigid_wall_that_pulled_once_has_let_go_for_good() -> None:
+    """λ turns negative while the mass is accelerated, and is positive again afterwards."""
+    pulled = run(tilt=20.0, speed=1.0, acceleration=50.0, duration=1.0)
+    assert pulled["contact_lost_fraction"] == 1.0
+    assert run(tilt=20.0, speed=1.0, acceleration=5.0)["contact_lost_fraction"] == 0.0
+
+
+def test_a_wall_that_rubs_has_no_closed_form_where_the_mass_creeps() -> None:
+    slow = run(tilt=10.0, friction=0.5, speed=0.003, duration=1.0)
+    assert slow["force_ratio_closed"] is None
+    assert run(tilt=10.0, friction=0.5, speed=0.05)["force_ratio_gap"] < 1e-3

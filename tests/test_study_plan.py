@@ -35,11 +35,21 @@ def test_every_rollout_has_its_place_controller_and_repeat() -> None:
     assert len(plan) == len({task.identity for task in plan}) == 12
 
 
-def test_controllers_share_the_random_numbers_of_a_point_and_nothing_else_does() -> None:
-    tasks = list(Plan(scripted(controllers=("one", "two"), repeats=2), seed=4))
+@pytest.mark.parametrize(
+    ("kind", "size", "groups"),
+    [("levels", 5, 1), ("map", 5, 1), ("sobol", 8, 8), ("indices", 8, 8), ("morris", 4, 4)],
+)
+def test_controllers_and_rows_that_are_compared_share_their_random_numbers(
+    kind: str, size: int, groups: int
+) -> None:
+    """A row that differs in one factor must not differ in its random numbers, too."""
+    design = Design(kind=kind, size=size)  # type: ignore[arg-type]
+    tasks = list(Plan(scripted(controllers=("one", "two"), repeats=2, design=design), seed=4))
     seeds = [task.seed for task in tasks]
     assert seeds[::2] == seeds[1::2]
-    assert len(set(seeds)) == len(tasks) / 2
+    of = np.array(seeds).reshape(groups, -1, 2, 2)  # group, row of it, repeat, controller
+    assert (of == of[:, :1]).all()
+    assert len(set(seeds)) == 2 * groups
     assert not set(seeds) & {task.seed for task in Plan(scripted(repeats=2), seed=5)}
 
 

@@ -13,8 +13,9 @@ import polars as pl
 import pytest
 from plotly.offline import get_plotlyjs
 
+from qpctrl import InputError
 from scenarios.cli import main
-from scenarios.cli_study_print import print_conclusion
+from scenarios.cli_study_print import print_conclusion, print_rows
 from scenarios.panel import Panel
 from scenarios.study.design import Design
 from scenarios.study.factor import Factor
@@ -28,11 +29,13 @@ from scenarios.study.plan import Plan
 from scenarios.study.rollout import row_schema
 from scenarios.study.search import Boundary, Worst
 from scenarios.study.store import chunk_files
-from scenarios.study.study import Limit, Published, Study
+from scenarios.study.study import Along, Limit, Published, Study
+from scenarios.study.study_file import study_of
 from scenarios.study.summary import conclude
 from scenarios.study.system import Rollout, Setting
+from scenarios.study.systems import SYSTEMS
 from scenarios.study.verdict import standing, verdicts
-from scenarios.study.word import limit_words, unit_of
+from scenarios.study.word import amount, entry, limit_words, title, unit_of
 
 MAX_BYTES = 6_000_000
 NBSP = "\u00a0"
@@ -120,6 +123,13 @@ def page_of(study: Study, table: pl.DataFrame) -> str:
     """Return the page."""
     found = conclude(study, Plan(study, 0).manifest(), table, None)
     return render_study(study, table, *found)
+
+
+def printed(study: Study, table: pl.DataFrame, capsys: pytest.CaptureFixture[str]) -> str:
+    """Return what is printed of a study."""
+    criteria, summary = conclude(study, Plan(study, 0).manifest(), table, None)
+    print_conclusion(study, table, criteria, summary, Path("out"))
+    return capsys.readouterr().out
 
 
 def traces(panel: Panel, name: str) -> list[dict[str, Any]]:
@@ -213,7 +223,10 @@ def test_no_figure_holds_what_is_no_number() -> None:
     for study, table in every_design():
         for panel in drawn(study, table).values():
             if panel.figure:
-                numbers = every_number(panel.figure["data"])
+                data = panel.figure["data"]
+                maps = [t for t in data if t["type"] == "heatmap"]  # these say None, no NaN
+                numbers = every_number([t for t in data if t not in maps])
+                numbers += [z for t in maps for z in t["z"] if z is not None]
                 assert np.isfinite(numbers).all(), panel.key
                 count += len(numbers)
     assert count > 1000
@@ -315,6 +328,21 @@ def test_a_map_shows_the_share_of_failures_and_means_of_what_did_not_diverge() -
     assert [tile(qp, "10", "2"), tile(law, "5", "2")] == [12.0, 7.0]
     assert tile(law, "10", "2") is None
     assert "12 of 120 rollouts have no number" in panels["map-force_mae_N"].caption
+
+
+def test_levels_without_a_number_stay_on_the_map() -> None:
+    study = a_map_study()
+    table = rows_of(study, lost_beyond)
+    law = drawn(study, table)["map-force_mae_N"].figure["data"][1]
+    assert len(law["z"]) == 15
+    at = [i for i, x in enumerate(law["x"]) if x == "10"]
+    assert [(law["y"][i], law["z"][i], law["text"][i]) for i in at] == [
+        (y, None, "no number") for y in ("1", "2", "5")
+    ]
+    cut = table.filter(pl.col("tilt_deg") < 10)
+    failed = drawn(study, cut)["map-failed"].figure["data"][0]
+    assert [failed["text"][i] for i in at] == ["no rollouts yet"] * 3
+    assert '"z":' in page_of(study, table)
 
 
 # Indices -------------------------------------------------------------------------------------
@@ -453,6 +481,126 @@ def test_a_cloud_is_thinned_the_same_way_each_time_and_keeps_its_extremes() -> N
     panel = drawn(study, rows_of(study, traded))["cloud-force_mae_N"]
     assert "900 of 3072 rollouts are drawn" in panel.caption
     assert all(len(t["x"]) <= 300 for t in panel.figure["data"])
+
+
+# Published numbers ---------------------------------------------------------------------------
+
+
+def a_published_study(**of: Any) -> Study:
+    """Return levels of tilt beside a controller that gives mean, spread, peak, and a curve."""
+    along = Along(factor="tilt", measure="force_mae_N", at=(-10.0, 10.0), values=(1.48, 6.1))
+    theirs = Published(
+        name="theirs",
+        source="Someone2020",
+        measures={"force_mae_N": 2.05, "force_peak_N": 62.0},
+        largest=("force_peak_N",),
+        deviations={"force_mae_N": 1.67},
+        along=(along,),
+    )
+    return a_study(**{"design": Design(size=3), "repeats": 4, "published": (theirs,)} | of)
+
+
+def peaked(point: Mapping[str, float], controller: str, repeat: int) -> dict[str, Any]:
+    """Return a force error of tilt / 10 + 3 + repeat, and peaks of 50, 51, 52 and 53 N."""
+    return {"force_mae_N": point["tilt"] / 10 + 3 + repeat, "force_peak_N": 50.0 + repeat}
+
+
+def cells_of(line: str) -> list[str]:
+    """Return the texts of the cells of a row of a table."""
+    return [re.sub("<[^>]*>", " ", c).strip() for c in re.findall("<t[dh].*?</t[dh]>", line)]
+
+
+def published_lines(page: str) -> list[list[str]]:
+    """Return the rows of the tables of published numbers."""
+    start = page.index("Beside published numbers")
+    return [cells_of(x) for x in page[start : page.index("</section>", start)].split("<tr>")[1:]]
+
+
+def test_the_largest_stands_beside_the_largest_and_a_deviation_beside_a_deviation() -> None:
+    study = a_published_study()
+    page = page_of(study, rows_of(study, peaked))
+    heads, ours, theirs, *_ = published_lines(page)
+    assert heads[1:] == [
+        "mean absolute force error [N]",
+        f"{title(study, 'force_peak_N')}, largest over the rollouts",
+    ]
+    errors = np.add.outer([2.0, 3.0, 4.0], np.arange(4.0))
+    assert ours[1].startswith(f"4.5 ± {errors.std(ddof=1):.3g}  ")
+    assert (ours[2], theirs[1:]) == ("53", ["2.05 ± 1.67", "62"])
+
+
+def test_numbers_along_a_factor_are_stars_and_a_table() -> None:
+    study = a_published_study()
+    table = rows_of(study, peaked)
+    panel = drawn(study, table)["level-force_mae_N"]
+    (star,) = traces(panel, "theirs, published")
+    np.testing.assert_array_equal(star["x"], [-10, 10])
+    np.testing.assert_array_equal(star["y"], [1.48, 6.1])
+    assert "Stars: published." in panel.caption
+    heads, ours, theirs = published_lines(page_of(study, table))[-3:]
+    assert (heads[1:], ours[1:], theirs[1:]) == (["−10", "10"], ["3.5", "5.5"], ["1.48", "6.1"])
+
+
+def test_what_is_published_must_name_what_the_study_has() -> None:
+    along = Along(factor="delay", measure="force_mae_N", at=(1.0,), values=(2.0,))
+    with pytest.raises(InputError, match="unknown factor 'delay'"):
+        a_published_study(published=(Published(name="a", source="b", along=(along,)),))
+    with pytest.raises(InputError, match="unknown measure published by 'a' 'force_peak_N'"):
+        Published(name="a", source="b", largest=("force_peak_N",))
+    with pytest.raises(InputError, match="got 1 values at 2 places, need one at each"):
+        Along(factor="tilt", measure="force_mae_N", at=(1.0, 2.0), values=(2.0,))
+
+
+def test_a_file_says_notes_and_all_of_what_is_published(monkeypatch) -> None:
+    monkeypatch.setitem(SYSTEMS, "pushing", Pushing())
+    study = a_published_study(notes="one\n\ntwo")
+    again = study_of(study.configuration())
+    assert (again.published, again.notes) == (study.published, "one\n\ntwo")
+    assert "notes" not in study.inputs()
+
+
+# What is no sample ---------------------------------------------------------------------------
+
+
+def test_without_a_sample_there_are_ranges_and_no_intervals() -> None:
+    study = a_study(controllers=("qp", "law"), design=Design(size=5))
+    table = rows_of(study, lambda p, c, r: {"force_mae_N": 20 + p["tilt"] * (1 + (c == "law"))})
+    summary = concluded(study, table)
+    found = summary["controllers"]["qp"]["measures"]["force_mae_N"]
+    assert (found["value"], found["min"], found["max"]) == (20, 10, 30)
+    assert not {"low", "high"} & found.keys()
+    assert verdicts(summary)["qp"] == (
+        "keeps contact in all 5 rollouts; mean absolute force error: 10 … 30 N"
+    )
+    page = without_plotly(page_of(study, table))
+    assert "95 %" not in page
+    assert "One rollout at each chosen point is no sample" in page
+    assert "<code>from</code> 10 … 30" in page
+
+
+@pytest.mark.parametrize(("step", "said"), [(21.0, "best of 2"), (19.0, "")])
+def test_without_a_sample_ranges_that_do_not_overlap_are_told_apart(step: float, said: str) -> None:
+    study = a_study(controllers=("qp", "law"), design=Design(size=5))
+
+    def answer(point: Mapping[str, float], controller: str, repeat: int) -> dict[str, Any]:
+        return {"force_mae_N": 20 + point["tilt"] + step * (controller == "law")}
+
+    assert standing(concluded(study, rows_of(study, answer)), "force_mae_N", "qp") == said
+
+
+def test_without_a_sample_failures_are_counted_and_not_ranked() -> None:
+    study = a_study(controllers=("qp", "law"), factors=(TILT, DELAY), design=Design(kind="map"))
+    said = verdicts(concluded(study, rows_of(study, lost_beyond)))
+    assert said["qp"].startswith(f"lost contact in 9 of 27 rollouts (33.3{NBSP}%); ")
+    assert "failures" not in "".join(said.values())
+
+
+def test_repeats_and_random_points_are_a_sample(leveled) -> None:
+    assert concluded(*leveled)["sampled"]
+    study = a_cloud_study(4)
+    assert concluded(study, rows_of(study, traded))["sampled"]
+    assert concluded(*a_worst_study())["sampled"]
+    assert not concluded(limits := a_limit_study(), rows_of(limits, gave_way))["sampled"]
 
 
 # Worst settings ------------------------------------------------------------------------------
@@ -682,6 +830,30 @@ def test_criteria_are_told_in_words_with_their_units(leveled) -> None:
     assert re.search(r"1\.1</td><td class=\"n\">≤ 2\.05</td><td>N</td>", page)
 
 
+def test_notes_stand_on_the_page_and_are_printed_in_lines_that_fit(capsys) -> None:
+    study = a_study(notes="Contact is <soft> here [N].\n\n" + 40 * "why so ", repeats=2)
+    table = rows_of(study, lambda *_: {"force_mae_N": 1.0})
+    page = page_of(study, table)
+    assert "<h2>Notes</h2><p>Contact is &lt;soft&gt; here [N].</p><p>why so" in page
+    assert page.index("<h2>Notes") < page.index("<h2>Controllers")
+    assert "<h2>Notes" not in page_of(a_study(repeats=2), table)
+    out = printed(study, table, capsys)
+    assert "Contact is <soft> here [N]." in out
+    assert out.count("why so") == 40
+    assert max(map(len, out.splitlines())) <= 100
+
+
+def test_round_off_is_told_as_zero_and_ratios_with_five_digits() -> None:
+    assert [amount(x) for x in (9e-13, -9e-13, 2e-12)] == ["0", "0", "2·10⁻¹²"]
+    assert entry("force_ratio", 1.0154321) == entry("force_ratio_closed", 1.0154321) == "1.0154"
+    assert entry("force_ratio_gap", 1.0154321) == "1.02"
+    study = a_study(show=("force_rmse_ratio",), repeats=2)
+    table = rows_of(study, lambda *_: {"force_rmse_ratio": 1.0154321, "force_bias_N": 3e-17})
+    page = page_of(study, table)
+    assert ">1.0154<br>" in page
+    assert "10⁻¹⁷" not in page
+
+
 # The commands --------------------------------------------------------------------------------
 
 
@@ -719,7 +891,12 @@ def test_the_report_is_written_again_from_the_rows(folder: Path, made: Path, cap
     assert theirs["timing"]
     assert ours == {**theirs, "timing": None}
     page = (folder / "report.html").read_text(encoding="utf-8")
-    assert page == (made / "report.html").read_text(encoding="utf-8")
+    before = (made / "report.html").read_text(encoding="utf-8")
+    assert "Seed 0; how long it took is not known." in page
+    took = re.search(r"Seed 0; (4 rows made in [\d.]+ s, [\d.]+ /s)\.", before)
+    assert took
+    assert before.replace(took[1], "how long it took is not known") == page
+    assert '0</td><td class="n">≤ 10⁻⁸' in page  # what is but round-off
     assert "keeps contact in all 2 rollouts" in page
     ratio = theirs["controllers"]["qp"]["measures"]["force_ratio"]
     assert ratio["value"] == pytest.approx(1 / np.cos(np.radians(10)), rel=1e-4)
@@ -776,7 +953,57 @@ def test_a_large_study_is_printed_short(capsys) -> None:
     criteria, summary = conclude(study, Plan(study, 0).manifest(), table, None)
     print_conclusion(study, table, criteria, summary, Path("out"))
     lines = capsys.readouterr().out.splitlines()
-    assert len(lines) <= 14
+    assert len(lines) <= 20
     assert max(map(len, lines)) <= 100
     said = " ".join(" ".join(lines).split())
     assert "qp keeps contact in all 64 rollouts; mean absolute force error" in said
+
+
+def line_of(out: str, start: str) -> str:
+    """Return the line that starts so, with single spaces."""
+    (line,) = [line for line in out.splitlines() if line.startswith(start)]
+    return " ".join(line.split())
+
+
+def test_published_numbers_are_printed_beside_ours(capsys) -> None:
+    study = a_published_study()
+    out = printed(study, rows_of(study, peaked), capsys)
+    errors = np.add.outer([2.0, 3.0, 4.0], np.arange(4.0))
+    assert line_of(out, "qp, ours") == f"qp, ours 4.5 ± {errors.std(ddof=1):.3g} 53"
+    assert line_of(out, "theirs") == "theirs 2.05 ± 1.67 62"
+    assert "(largest)" in out
+
+
+@pytest.mark.parametrize(
+    ("kind", "size", "said"),
+    [("indices", 64, r"qp stiffness 0\.[78]\d* \(0\.\d+ … \d\.\d+\), tilt 0\.[12]\d* \("),
+     ("morris", 8, r"qp stiffness 2 \(2 … 2\), tilt 1 \(1 … 1\), robot 0 \(0 … 0\)$")],
+)  # fmt: skip
+def test_the_ranking_of_the_factors_is_printed(kind: Any, size: int, said: str, capsys) -> None:
+    study = a_study(factors=(TILT, STIFFNESS, ROBOT), design=Design(kind=kind, size=size))
+    out = printed(study, rows_of(study, additive), capsys)
+    ranked = out[out.index("total index" if kind == "indices" else "mean size of effect") :]
+    assert re.search(said, line_of(ranked, "qp"))
+
+
+def test_a_query_prints_the_columns_that_fit_and_says_how_many_there_are(capsys) -> None:
+    table = pl.DataFrame({f"a_column_{i:02}": [0.1234567, 3e-17] for i in range(40)})
+    print_rows(table)
+    head, first, second, *_, last = capsys.readouterr().out.splitlines()
+    count = len(head.split())
+    assert 3 < count < 40
+    assert first.split() == ["0.12346"] * count
+    assert second.split() == ["0"] * count
+    assert last == f"{count} of 40 columns; select some, or --json"
+    print_rows(table.select("a_column_00"))
+    assert "columns" not in capsys.readouterr().out
+
+
+def test_rows_are_printed_with_the_measures_that_fit(capsys) -> None:
+    show = ("force_mae_N", "force_rmse_N", "position_mae_mm", "contact_lost_fraction")
+    for factors, count in (((TILT,), 4), ((TILT, STIFFNESS, DELAY, GAIN), 2)):
+        study = a_study(factors=factors, show=show, design=Design(kind="levels", size=2))
+        table = rows_of(study, lambda *_: dict.fromkeys(show, 1.0))
+        head = next(x for x in printed(study, table, capsys).splitlines() if "outcome" in x)
+        assert [name for name in show if name in head] == list(show[:count])
+        assert "…" not in head

@@ -2,6 +2,7 @@
 
 import io
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,9 +10,11 @@ import polars as pl
 import pytest
 from scripted import TICKS, diverge, scripted
 
+from qpctrl import InputError
 from scenarios.study.outcome import OutcomeClass, contact_measures, force_measures
 from scenarios.study.plan import Plan, Task
-from scenarios.study.rollout import Made, Tracing, roll_out, row_schema
+from scenarios.study.rollout import Made, RolloutError, Tracing, roll_out, roll_out_all, row_schema
+from scenarios.study.search import Boundary
 from scenarios.study.study import Study
 
 TASK = Task("x", 3, 0, (2.5,), "one", 7)
@@ -58,7 +61,6 @@ def test_the_worst_that_happened_is_the_outcome(found: dict[str, float], kind: s
         (ZeroDivisionError("by\nzero"), "ZeroDivisionError: by zero"),
         ({"value_N": math.nan, "contact_breaks": 9}, "not finite: value_N"),
         ({"value_N": 1.0, "fallback_ticks": math.inf}, "not finite: fallback_ticks"),
-        ({"value_N": "high"}, "TypeError: .*"),
     ],
 )
 def test_what_goes_wrong_is_an_outcome_with_a_reason_and_no_numbers(
@@ -69,6 +71,31 @@ def test_what_goes_wrong_is_an_outcome_with_a_reason_and_no_numbers(
     assert row["outcome"] == OutcomeClass.DIVERGED
     assert pl.Series([row["reason"]]).str.contains(f"^{reason}$").all()
     assert [row[name] for name in study.measures] == [None] * len(study.measures)
+
+
+@pytest.mark.parametrize(
+    ("found", "kind", "said"),
+    [
+        (InputError("no such duration"), InputError, "no such duration"),
+        (TypeError("of\nours"), RolloutError, "TypeError: of ours"),
+        ({"value_N": "high"}, RolloutError, "TypeError: .*"),
+    ],
+)
+@pytest.mark.parametrize("searches", [False, True])
+def test_a_fault_is_no_outcome_and_ends_the_study(
+    found: Any, kind: type[Exception], said: str, searches: bool
+) -> None:
+    study = study_of(found)
+    if searches:
+        edge = Boundary(parameter="y", low=0.1, high=1.0, measure="value_N", limit=1.0)
+        study = replace(study, search=edge)
+    with pytest.raises(kind, match=f"^rollout of row 3 with 'one': {said}$"):
+        roll_out(study, TASK)
+
+
+def test_a_process_with_other_code_makes_no_rows() -> None:
+    with pytest.raises(InputError, match=r"the code changed since the study began: .* was old"):
+        roll_out_all(scripted(), Tracing(), "old", [TASK])
 
 
 def test_a_state_that_leaves_all_bounds_is_its_own_outcome() -> None:

@@ -8,6 +8,7 @@ import resource
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -164,10 +165,19 @@ def test_new_criteria_judge_the_rows_that_are_there(plan: Plan, tmp_path: Path) 
 
 def test_a_gap_that_is_missing_where_its_closed_form_is_known_misses_every_limit() -> None:
     limit, known = Limit(measure="x_gap", limit=1.0), pl.Series("x_closed", [1.0, 1.0, None])
-    good = pl.DataFrame({"x_gap": [0.1, 0.2, None]}).with_columns(known)
+    good = pl.DataFrame({"x_gap": [0.1, 0.2, None], "outcome": ["ok"] * 3}).with_columns(known)
     assert limit.judge(good).value == 0.2
     assert not limit.judge(good.with_columns(x_gap=pl.lit(None, dtype=pl.Float64))).passed
     assert not limit.judge(good.with_columns(x_gap=pl.Series([0.1, None, None]))).passed
+
+
+def test_a_rollout_that_diverged_misses_every_limit_unless_some_may() -> None:
+    rows = pl.DataFrame({"value_N": [1.0, None], "outcome": ["ok", "diverged"]})
+    value, some = Limit(measure="value_N", limit=2.0), Limit(measure="diverged", limit=0.5)
+    none = replace(some, limit=0.0)
+    for limits in ((value,), (value, none)):
+        assert not any(c.passed for c in scripted(criteria=limits).judge(rows))
+    assert [c.passed for c in scripted(criteria=(value, some)).judge(rows)] == [True, True]
 
 
 @pytest.mark.parametrize("name", ["thesis.tex", "chunks"])
@@ -347,8 +357,9 @@ def test_a_query_sees_the_rows_in_order_and_changes_none(plan: Plan, tmp_path: P
     x = np.linspace(-10, 10, ROWS)
     assert found["x_1"].to_numpy() == pytest.approx(x[x**2 > 80])
     assert found.columns == ["x_1", "squared"]
-    query(tmp_path, "DELETE FROM rows")
-    query(tmp_path, "DROP TABLE rows")
+    for changing in ("DELETE FROM rows", "DROP TABLE rows", "", "SELEC x_1"):
+        with pytest.raises(InputError, match="need a SELECT; rows are never changed"):
+            query(tmp_path, changing)
     assert query(tmp_path, "SELECT count(*) AS n FROM rows")["n"].to_list() == [ROWS]
 
 
@@ -357,9 +368,9 @@ def test_a_query_sees_the_rows_in_order_and_changes_none(plan: Plan, tmp_path: P
     [
         ("SELECT valu FROM rows", 'unable to find column "valu"; valid columns: .*"value_N"'),
         ("SELECT x_1 FROM raws", "relation 'raws' was not found"),
-        ("SELEC x_1", "Expected: an SQL statement, found: SELEC"),
+        ("SELECT * FROM read_csv('other.csv')", "got read_csv"),
         ("SELECT sum(controller) FROM rows", "`sum` operation not supported for dtype `str`$"),
-        ("", "one .* statement"),
+        ("SELECT 1; SELECT 2", "one .* statement"),
     ],
 )
 def test_a_query_that_cannot_be_run_is_refused_in_one_line(

@@ -10,11 +10,11 @@ import pytest
 
 from qpctrl.errors import InputError
 from scenarios.study.study_file import find_study, read_study, study_of
-from scenarios.study.systems.wipe import Wipe
-from scenarios.study.systems.wipe_controller import KINDS
-from scenarios.study.systems.wipe_guide import PRESS_TIME, SPEED_RAMP, Job, circles
-from scenarios.study.systems.wipe_measure import normal_force, reimpact_peak, settling
-from scenarios.study.systems.wipe_world import board_error, draw, scene
+from scenarios.study.systems.wipe.controller import KINDS
+from scenarios.study.systems.wipe.guide import PRESS_TIME, SPEED_RAMP, Job, circles
+from scenarios.study.systems.wipe.measure import normal_force, reimpact_peak, settling
+from scenarios.study.systems.wipe.system import Wipe
+from scenarios.study.systems.wipe.world import board_error, draw, scene
 from scenarios.world import TOOL
 
 SYSTEM = Wipe()
@@ -74,8 +74,8 @@ def test_friction_on_a_tilted_board_changes_the_normal_force_as_statics_says():
 
 
 def test_an_offset_board_changes_the_force_of_a_spring_by_its_stiffness():
-    near = measures("impedance", **SHORT, offset=-2e-3, stiffness_normal=400.0)
-    far = measures("impedance", **SHORT, offset=2e-3, stiffness_normal=400.0)
+    near = measures("impedance", **SHORT, offset=-2e-3, spring_normal=400.0)
+    far = measures("impedance", **SHORT, offset=2e-3, spring_normal=400.0)
     change = near["force_bias_N"] - far["force_bias_N"]
     assert change == pytest.approx(400.0 * 4e-3, rel=0.03)
     blind = measures(**SHORT, offset=2e-3)
@@ -197,6 +197,18 @@ def test_forces_and_times_are_read_off_as_defined():
     touching = np.array([True, False, True, True])
     assert reimpact_peak(np.array([50.0, 0.0, 30.0, 10.0]), touching) == 30.0
     assert reimpact_peak(np.ones(4), np.ones(4, dtype=bool)) is None
+
+
+@pytest.mark.parametrize("judged_from", [0.0, 0.9])
+def test_a_loss_of_contact_counts_whenever_it_is_while_the_board_is_wiped(judged_from):
+    """5 N turn a mass of 6.2 kg along the board up to 0.4 m/s: tan α = f r / (m v²)."""
+    fast = {"force": 5.0, "radius": 0.05, "speed": 0.5, "tilt_x": 15.0, "duration": 0.7}
+    rollout = SYSTEM.run({**USUAL, **fast, "judged_from": judged_from}, "qp", 0)
+    found, time = rollout.measures, rollout.table["time"].to_numpy()
+    wiping = ~rollout.table["touching"].to_numpy()[time >= PRESS_TIME - 1e-9]
+    assert 0.05 < wiping.mean() < 0.95
+    assert found["contact_lost_fraction"] == wiping.mean()
+    assert found["contact_breaks"] == np.sum(np.diff(wiping.astype(int)) == 1)
 
 
 def test_nothing_left_to_judge_is_refused():

@@ -95,7 +95,7 @@ def run_study(
         done = frozenset(rows["identity"])
         progress = Progress(plan.study.name, len(done), len(plan), Counter(rows["outcome"]))
         missing = (task for task in plan if task.identity not in done)
-        work = functools.partial(roll_out_all, plan.study, tracing)
+        work = functools.partial(roll_out_all, plan.study, tracing, plan.code["source"])
         if watch is not None:
             watch(progress)
         chunks = _chunks(missing, len(plan) - len(done), machine.workers)

@@ -40,6 +40,19 @@ class Design:
         if self.size < 2:
             raise InputError(f"design {self.kind}: got size {self.size}, need at least 2")
 
+    def group(self, row: int, count: int) -> int:
+        """Return which rows share their random numbers, so that a difference is a factor's.
+
+        All rows of levels and maps do, those of one block of ``indices`` and of one trajectory
+        of ``morris``; points of ``sobol`` are on their own.
+
+        Args:
+            row: of the design.
+            count: number of factors.
+        """
+        size = {"sobol": 1, "indices": count + 2, "morris": count + 1}.get(self.kind)
+        return 0 if size is None else row // size
+
     def points(self, factors: Sequence[Factor], usual: Mapping[str, float], seed: int) -> Matrix:
         """Return the points (points × factors) in the factors' units.
 

@@ -5,6 +5,7 @@ one that is not made yet – is no number, and its block or trajectory is left o
 """
 
 import math
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -49,6 +50,18 @@ def importance(study: Study, table: pl.DataFrame) -> dict[str, Any]:
             values[FAILED] = _in_order(study, rows, failed).mean(1)
         found[controller] = {name: _of(study, rows, y) for name, y in values.items()}
     return {"factors": [factor.name for factor in study.columns], "controllers": found}
+
+
+def ranking(one: Mapping[str, Any], factors: Sequence[str]) -> list[tuple[str, dict[str, float]]]:
+    """Return factors with their total index, or with μ*, the most telling first.
+
+    Args:
+        one: what `importance` found for a controller and measure; with a ``note`` there is none.
+        factors: their names, in the order of the design.
+    """
+    rates = one.get("total") or one.get("mu_star") or []
+    known = [pair for pair in zip(factors, rates, strict=False) if pair[1]["value"] is not None]
+    return sorted(known, key=lambda pair: pair[1]["value"], reverse=True)
 
 
 def share(factor: Factor, values: Vector) -> Vector:

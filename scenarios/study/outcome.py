@@ -3,9 +3,10 @@
 from enum import StrEnum
 
 import numpy as np
+import polars as pl
 
 from qpctrl.arrays import Vector
-from scenarios.metric import rms
+from scenarios.metric import rms, tick_metrics
 from scenarios.study.system import Measures
 
 LONG_LOSS = 50.0  # ms out of contact; a controller takes the contact for lost by then
@@ -90,6 +91,12 @@ def contact_measures(touching: Vector, dt: float) -> dict[str, float]:
         "longest_loss_ms": 1e3 * dt * float(pieces.max(initial=0)),
         "contact_breaks": float(len(pieces)),
     }
+
+
+def tick_measures(table: pl.DataFrame) -> Measures:
+    """Return what the ticks of a ``table`` say; no gap where every tick is saturated."""
+    found = tick_metrics(table)
+    return {name: None if np.isnan(found[name]) else found[name] for name in TICK_MEASURES}
 
 
 def classify(measures: Measures) -> OutcomeClass:

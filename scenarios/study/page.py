@@ -10,16 +10,16 @@ from scenarios import report_page as house
 from scenarios.panel import Panel
 from scenarios.report_style import MUTED
 from scenarios.scenario import Criterion
+from scenarios.study.page_published import published_section
 from scenarios.study.page_table import (
     controller_section,
     factor_section,
-    published_section,
     rows_details,
     worst_section,
 )
 from scenarios.study.picture import study_panels
 from scenarios.study.study import Study
-from scenarios.study.word import limit_words, unit_of
+from scenarios.study.word import is_nothing, limit_words, paragraphs, unit_of
 
 
 def render_study(
@@ -39,9 +39,10 @@ def render_study(
     panels = study_panels(study, table, summary)
     body = [
         _header(study, criteria, summary),
+        _notes(study),
         _criteria(study, criteria),
         controller_section(study, summary),
-        published_section(study, summary),
+        published_section(study, table, summary),
         worst_section(study, table),
         *(house.section(p) if p.figure else _words(p) for p in panels),
         factor_section(study),
@@ -59,7 +60,8 @@ def _header(study: Study, criteria: Sequence[Criterion], summary: Mapping[str, A
     counts = ", ".join(f"{count} {kind}" for kind, count in summary["outcomes"].items() if count)
     kind = "rollouts" if study.search is None else "searches"
     said = f": {counts}" if counts and study.search is None else ""
-    words = f"{study.summary[:1].upper()}{study.summary[1:]}. {done} {kind}{said}."
+    words = f"{study.summary[:1].upper()}{study.summary[1:]}. {done} {kind}{said}. "
+    words += _made(summary)
     if done == rows and criteria:
         return house.header("qpctrl · study", study.name, words, criteria)
     mark, more = "NOT JUDGED", "the study has no criteria"
@@ -72,13 +74,33 @@ def _header(study: Study, criteria: Sequence[Criterion], summary: Mapping[str, A
     )
 
 
+def _made(summary: Mapping[str, Any]) -> str:
+    """Return the seed, and how long the rows took, if that is known."""
+    seed, timing = f"Seed {summary['seed']}", summary["timing"]
+    if not timing:
+        return f"{seed}; how long it took is not known."
+    took = f"{timing['rows_made']} rows made in {timing['elapsed_s']:.1f} s"
+    return f"{seed}; {took}, {timing['rows_per_s']:.1f} /s."
+
+
+def _notes(study: Study) -> str:
+    """Return what a reader must know, paragraph by paragraph."""
+    if not study.notes:
+        return ""
+    parts = "".join(f"<p>{escape(part)}</p>" for part in paragraphs(study.notes))
+    return f"<section><h2>Notes</h2>{parts}</section>"
+
+
 def _criteria(study: Study, criteria: Sequence[Criterion]) -> str:
     if not criteria:
         return ""
     limits = dict(zip((c.name for c in criteria), study.criteria, strict=True))
     words = {name: limit_words(study, limit) for name, limit in limits.items()}
     units = [unit_of(study, limit.measure) for limit in study.criteria]
-    shown = [c._replace(unit=unit) for c, unit in zip(criteria, units, strict=True)]
+    shown = [
+        c._replace(unit=unit, value=0.0 if is_nothing(c) else c.value)
+        for c, unit in zip(criteria, units, strict=True)
+    ]
     return house.criteria_section(shown, words)
 
 

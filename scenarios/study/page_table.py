@@ -10,9 +10,32 @@ from scenarios import report_page as house
 from scenarios.report_style import SERIES, number
 from scenarios.study.outcome import FAILURES
 from scenarios.study.search import Worst
-from scenarios.study.study import Published, Study
+from scenarios.study.study import Study
 from scenarios.study.verdict import is_signed, span, verdicts
-from scenarios.study.word import factor_title, level_text, shown, title, titled, unit_text
+from scenarios.study.word import (
+    amount,
+    digits_of,
+    entry,
+    factor_title,
+    level_text,
+    shown,
+    title,
+    titled,
+    unit_text,
+)
+
+SAMPLED = (
+    "Rates with Wilson intervals, means with bootstrap intervals over the rollouts that have the "
+    "number; all of 95 %. What has a sign is given from its smallest to its largest value. "
+    "Controllers are told apart only where their intervals do not overlap; one with rollouts that "
+    "diverged is not compared in the mean of the others."
+)
+CHOSEN = (
+    "One rollout at each chosen point is no sample, so there are no intervals: numbers are given "
+    "from the smallest to the largest over the points. Controllers are told apart only where these "
+    "ranges do not overlap; one with rollouts that diverged is not compared in the others."
+)
+"""What the numbers of controllers are, by whether the rollouts are a sample."""
 
 MOST_ROWS = 200
 """Rows that the page shows; the files hold all of them."""
@@ -29,39 +52,16 @@ def controller_section(study: Study, summary: Mapping[str, Any]) -> str:
     lines = []
     for i, (controller, one) in enumerate(summary["controllers"].items()):
         cells = [_percent(one["rates"].get(kind)) for kind in kinds] if study.search is None else []
-        cells += [_mean(summary, name, one["measures"].get(name)) for name in names]
-        lines.append(_line(f"{_dot(i)}{escape(controller)}", cells))
+        cells += [mean_cell(summary, name, one["measures"].get(name)) for name in names]
+        lines.append(line(f"{dot(i)}{escape(controller)}", cells))
     said = "".join(
-        f"<p>{_dot(i)}<b>{escape(controller)}</b>: {escape(words)}.</p>"
+        f"<p>{dot(i)}<b>{escape(controller)}</b>: {escape(words)}.</p>"
         for i, (controller, words) in enumerate(verdicts(summary).items())
     )
-    words = (
-        "Rates with Wilson intervals, means with bootstrap intervals over the rollouts that have "
-        "the number; all of 95 %. What has a sign is given from its smallest to its largest value. "
-        "Controllers are told apart only where their intervals do not overlap; one with rollouts "
-        "that diverged is not compared in the mean of the others."
-    )
-    body = house.table(_heads("controller", heads), lines)
+    words = SAMPLED if summary["sampled"] else CHOSEN
+    body = house.table(heads_row("controller", heads), lines)
     caption = f'<p class="caption">{escape(words)}</p>'
     return f"<section><h2>Controllers</h2>{said}{caption}{body}</section>"
-
-
-def published_section(study: Study, summary: Mapping[str, Any]) -> str:
-    """Return what others report beside our means; nothing where the study has none of it."""
-    if not study.published:
-        return ""
-    names = list(dict.fromkeys(name for one in study.published for name in one.measures))
-    lines = []
-    for i, (controller, one) in enumerate(summary["controllers"].items()):
-        cells = [_mean(summary, name, one["measures"].get(name)) for name in names]
-        lines.append(_line(f"{_dot(i)}{escape(controller)}<br><code>ours</code>", cells))
-    for other in study.published:
-        cells = [number(other.measures[n]) if n in other.measures else "–" for n in names]
-        lines.append(_line(_source(other), cells))
-    words = "Means over the rollouts of this study, and what others report of the same job."
-    table = house.table(_heads("controller", [escape(title(study, n)) for n in names]), lines)
-    caption = f'<p class="caption">{escape(words)}</p>'
-    return f"<section><h2>Beside published numbers</h2>{caption}{table}</section>"
 
 
 def worst_section(study: Study, table: pl.DataFrame) -> str:
@@ -83,13 +83,13 @@ def worst_section(study: Study, table: pl.DataFrame) -> str:
         for name in names:
             value, factor = row[name], choices.get(name)
             if value is None or factor is None:
-                cells.append(_cell(value))
+                cells.append(_cell(name, value))
             else:
                 cells.append(level_text(study, factor, value))
-        lines.append(_line(f"{_dot(place)}{escape(row['controller'])}", cells))
+        lines.append(line(f"{dot(place)}{escape(row['controller'])}", cells))
     heads = ["outcome", *(escape(titled_name(study, name)) for name in names)]
     words = f"Each row is one search. Largest {study.search.measure}, and where it occurs."
-    body = house.table(_heads("controller", heads), lines)
+    body = house.table(heads_row("controller", heads), lines)
     caption = f'<p class="caption">{escape(words)}</p>'
     return f"<section><h2>Worst settings found</h2>{caption}{body}</section>"
 
@@ -127,7 +127,7 @@ def rows_details(study: Study, table: pl.DataFrame) -> str:
     names = [f.column for f in study.columns] + ["controller", "outcome", *study.measures]
     head = "".join(f'<th class="n">{escape(name)}</th>' for name in names)
     lines = [
-        "<tr>" + "".join(f'<td class="n">{_cell(row[name])}</td>' for name in names) + "</tr>"
+        "<tr>" + "".join(f'<td class="n">{_cell(name, row[name])}</td>' for name in names) + "</tr>"
         for row in table.head(MOST_ROWS).iter_rows(named=True)
     ]
     words = f"The first {MOST_ROWS} of {len(table)} rows" if len(table) > MOST_ROWS else "Rows"
@@ -135,18 +135,13 @@ def rows_details(study: Study, table: pl.DataFrame) -> str:
     return f"<details><summary>{escape(words)}</summary>{body}</details>"
 
 
-def _source(other: Published) -> str:
-    note = f"; {escape(other.note)}" if other.note else ""
-    words = f"<span style='white-space: normal'>{note}</span>"
-    return f"{escape(other.name)}<br><code>{escape(other.source)}</code>{words}"
-
-
 def _head(summary: Mapping[str, Any], name: str) -> str:
     words, unit = (summary["measures"][name][key] for key in ("words", "unit"))
     return escape(titled(words, unit))
 
 
-def _heads(first: str, others: Sequence[str]) -> str:
+def heads_row(first: str, others: Sequence[str]) -> str:
+    """Return the heads of a table; all but the first are HTML."""
     cells = "".join(f'<th class="n" style="white-space: normal">{head}</th>' for head in others)
     return f"<tr><th>{escape(first)}</th>{cells}</tr>"
 
@@ -156,7 +151,8 @@ def _words_line(name: str, words: str, cells: Sequence[str]) -> str:
     return f"<tr><td>{escape(words)}<br><code>{escape(name)}</code></td>{others}</tr>"
 
 
-def _line(first: str, cells: Sequence[str]) -> str:
+def line(first: str, cells: Sequence[str]) -> str:
+    """Return a row of a table from pieces of HTML."""
     return (
         f"<tr><td style='white-space: nowrap'>{first}</td>"
         + "".join(f'<td class="n">{c}</td>' for c in cells)
@@ -167,25 +163,33 @@ def _line(first: str, cells: Sequence[str]) -> str:
 def _percent(rate: Mapping[str, float] | None) -> str:
     if rate is None:
         return "–"
-    value, low, high = (number(100 * rate[key]) for key in ("value", "low", "high"))
+    value = amount(100 * rate["value"])
+    if "low" not in rate:
+        return value
+    low, high = (amount(100 * rate[key]) for key in ("low", "high"))
     return f"{value}<br><code>{low} … {high}</code>"
 
 
-def _mean(summary: Mapping[str, Any], name: str, one: Mapping[str, float] | None) -> str:
+def mean_cell(summary: Mapping[str, Any], name: str, one: Mapping[str, float] | None) -> str:
+    """Return a mean with its interval, or a range; a dash where there is none."""
+    digits = digits_of(name)
     if one is None:
         return "–"
     if one["rollouts"] == 1:
-        return number(one["value"])
-    if is_signed(summary, name) or "boundary" in summary["configuration"]:
-        return f"<code>from</code> {span(one['min'], one['max'])}"
-    return f"{number(one['value'])}<br><code>{span(one['low'], one['high'])}</code>"
+        return amount(one["value"], digits)
+    ranged = "low" not in one or "boundary" in summary["configuration"]
+    if ranged or is_signed(summary, name):
+        return f"<code>from</code> {span(one['min'], one['max'], digits)}"
+    interval = span(one["low"], one["high"], digits)
+    return f"{amount(one['value'], digits)}<br><code>{interval}</code>"
 
 
-def _dot(place: int) -> str:
+def dot(place: int) -> str:
+    """Return the mark of the controller at a place, in its colour."""
     return f'<span style="color: {SERIES[place % len(SERIES)]}">●</span> '
 
 
-def _cell(value: object) -> str:
-    if isinstance(value, str):
-        return escape(value)
-    return "–" if value is None else number(value, 5)
+def _cell(name: str, value: object) -> str:
+    if isinstance(value, int | float):
+        return entry(name, value, 5)
+    return "–" if value is None else escape(str(value))

@@ -36,7 +36,7 @@ class Task(NamedTuple):
     """Value of each factor, in its unit."""
     controller: str
     seed: int
-    """Common to all controllers at this point."""
+    """Common to all controllers, and to all rows of one `Design.group`."""
 
 
 class Plan:
@@ -67,10 +67,12 @@ class Plan:
         """Make the tasks one by one: a large study never holds all of them."""
         shared = canonical({"inputs": self.study.inputs(), "code": self.code})
         shared_hash = hashlib.sha256(shared.encode())
+        design, count = self.study.design, len(self.study.columns)
         for row, values in enumerate(self._points):
+            group = design.group(row, count)
             point = tuple(values.tolist())
             for repeat in range(self.study.repeats):
-                own = int(np.random.SeedSequence([self.seed, row, repeat]).generate_state(1)[0])
+                own = int(np.random.SeedSequence([self.seed, group, repeat]).generate_state(1)[0])
                 for controller in self.study.controllers:
                     hashed = shared_hash.copy()
                     hashed.update(canonical([row, repeat, point, controller, own]).encode())

@@ -1,5 +1,6 @@
 """SQL over the rows of a study."""
 
+import re
 from pathlib import Path
 
 import polars as pl
@@ -17,6 +18,10 @@ def query(folder: Path, sql: str) -> pl.DataFrame:
     Raises:
         InputError: the folder holds no study or no rows, or the query cannot be run.
     """
+    if not re.match(r"\s*(select|with|show|explain)\b", sql, re.IGNORECASE):
+        raise InputError(f"query: got {sql!r}, need a SELECT; rows are never changed")
+    if found := re.search(r"\bread_\w+\s*\(", sql, re.IGNORECASE):
+        raise InputError(f"query: got {found[0]}…), but only the table rows can be read")
     read_manifest(folder)
     files = chunk_files(folder)
     if not files:

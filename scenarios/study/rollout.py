@@ -1,5 +1,6 @@
 """One rollout of a study: its row in the table, whatever happens on the way."""
 
+import functools
 import io
 import math
 import time
@@ -9,14 +10,23 @@ from typing import Any, NamedTuple
 import numpy as np
 import polars as pl
 
+from qpctrl.errors import InputError, QpctrlError
 from scenarios.study.outcome import FAILURES, OutcomeClass, classify
-from scenarios.study.plan import Task
+from scenarios.study.plan import Task, code_version
 from scenarios.study.search import Boundary, Place, Trial, Worst
 from scenarios.study.study import Study
 from scenarios.study.system import DivergedError, Measures, Setting
 
 TIMING = ("elapsed_s",)
 """Columns that differ from run to run."""
+
+
+NUMERIC = (ArithmeticError, ValueError, np.linalg.LinAlgError)
+"""What numbers that have left all bounds raise on their way."""
+
+
+class RolloutError(QpctrlError):
+    """A fault of the program in a rollout; it ends the study, whose finished chunks stay."""
 
 
 class Tracing(NamedTuple):
@@ -45,9 +55,14 @@ class Made(NamedTuple):
 
 
 def roll_out(study: Study, task: Task, tracing: Tracing = Tracing()) -> Made:  # noqa: B008
-    """Return the row of a rollout, or of a search; it never raises.
+    """Return the row of a rollout, or of a search.
 
-    What goes wrong is an outcome, ``diverged`` with a reason, whose measures are null.
+    A plant or a computation that leaves all bounds is an outcome, ``diverged`` with a reason,
+    whose measures are null.
+
+    Raises:
+        InputError: a setting that the system cannot run.
+        RolloutError: a fault of the program, which is no outcome.
     """
     started = time.perf_counter()
     point = dict(zip((f.name for f in study.columns), task.point, strict=True))
@@ -72,8 +87,24 @@ def roll_out(study: Study, task: Task, tracing: Tracing = Tracing()) -> Made:  #
     return Made(row, trace)
 
 
-def roll_out_all(study: Study, tracing: Tracing, chunk: Sequence[Task]) -> list[Made]:
-    """Return the rollouts of a chunk."""
+def roll_out_all(study: Study, tracing: Tracing, source: str, chunk: Sequence[Task]) -> list[Made]:
+    """Return the rollouts of a chunk.
+
+    Args:
+        study: the study.
+        tracing: of which rollouts every tick is kept.
+        source: version of this code's own files that the rows shall be of.
+        chunk: what to roll out.
+
+    Raises:
+        InputError: this process has another version of the code, or a setting cannot be run.
+        RolloutError: a fault of the program.
+    """
+    if (own := _source()) != source:
+        raise InputError(
+            f"the code changed since the study began: it is {own} here and was {source}; start "
+            "again with another --out"
+        )
     return [roll_out(study, task, tracing) for task in chunk]
 
 
@@ -102,8 +133,12 @@ def _attempt(study: Study, setting: Setting, task: Task) -> Trial:
         reason = _what_is_wrong(wanted, measures)
     except DivergedError as error:
         reason = str(error)
+    except InputError as error:
+        raise InputError(f"{_where(task)}: {error}") from error
+    except NUMERIC as error:
+        reason = _said(error)
     except Exception as error:
-        reason = f"{type(error).__name__}: {' '.join(str(error).split())}"
+        raise RolloutError(f"{_where(task)}: {_said(error)}") from error
     if reason:
         return Trial(OutcomeClass.DIVERGED, reason, dict.fromkeys(wanted))
     return Trial(classify(measures), "", {name: measures[name] for name in wanted})
@@ -114,9 +149,23 @@ def _find(study: Study, search: Boundary | Worst, setting: Setting, task: Task) 
     place = Place(study.system, study.factors, setting, task.controller, task.seed)
     try:
         return search.find(place, lambda at: _attempt(study, at, task))
-    except Exception as error:
-        reason = f"{type(error).__name__}: {' '.join(str(error).split())}"
-        return Trial(OutcomeClass.DIVERGED, reason, dict.fromkeys(study.measures))
+    except InputError:
+        raise
+    except NUMERIC as error:
+        return Trial(OutcomeClass.DIVERGED, _said(error), dict.fromkeys(study.measures))
+
+
+def _where(task: Task) -> str:
+    return f"rollout of row {task.row} with {task.controller!r}"
+
+
+def _said(error: Exception) -> str:
+    return f"{type(error).__name__}: {' '.join(str(error).split())}"
+
+
+@functools.cache
+def _source() -> str:
+    return code_version()["source"]
 
 
 def _trace(study: Study, setting: Setting, task: Task) -> bytes:

@@ -117,7 +117,9 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     except (OSError, ValueError) as error:
         raise InputError(f"{str(folder / MANIFEST)!r} cannot be read: {error}") from error
     rows = found.get("rows") if isinstance(found, dict) else None
-    if not isinstance(rows, int) or not {"study", "configuration", "code"} <= found.keys():
+    whole = isinstance(rows, int) and {"study", "configuration", "code"} <= found.keys()
+    said = found["configuration"] if whole else None
+    if not isinstance(said, dict) or not {"name", "system", "controllers"} <= said.keys():
         raise InputError(f"{str(folder / MANIFEST)!r} is not that of a study")
     return found
 
@@ -229,7 +231,7 @@ def _make(folder: Path) -> None:
 @contextlib.contextmanager
 def _written(path: Path) -> Iterator[Path]:
     """Yield a temporary path; what is written there is synced and gets the name ``path``."""
-    unfinished = path.parent / f"{UNFINISHED}{path.name}"
+    unfinished = path.parent / f"{UNFINISHED}{os.getpid()}-{path.name}"
     with _refusing(path):
         try:
             yield unfinished

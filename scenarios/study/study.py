@@ -18,7 +18,9 @@ from scenarios.study.system import Setting, System
 
 Statistic = Literal["max", "mean", "min"]
 
-READING = ("summary", "show", "criteria", "published")
+MOST_REPEATS = 1_000_000
+
+READING = ("summary", "notes", "show", "criteria", "published")
 """Keys of a configuration that say how rows are read; a change of them makes no row anew."""
 
 
@@ -50,8 +52,14 @@ class Limit:
             return f"share {self.measure}{who}"
         return f"{self.statistic} {self.measure}{who}"
 
-    def judge(self, table: pl.DataFrame) -> Criterion:
-        """Return the criterion on the rows of a study."""
+    def judge(self, table: pl.DataFrame, *, may_diverge: bool = False) -> Criterion:
+        """Return the criterion on the rows of a study.
+
+        Args:
+            table: the rows.
+            may_diverge: whether rollouts that diverged, and so have no measures, are left out;
+                otherwise one of them misses any limit.
+        """
         if self.controllers:
             table = table.filter(pl.col("controller").is_in(self.controllers))
         if self.measure in set(OutcomeClass):
@@ -59,7 +67,9 @@ class Limit:
             found = values.mean()
         else:
             values = table[self.measure].drop_nulls()
-            found = None if self._unanswered(table) else getattr(values, self.statistic)()
+            diverged = (table["outcome"] == OutcomeClass.DIVERGED).any() and not may_diverge
+            missed = diverged or self._unanswered(table)
+            found = None if missed else getattr(values, self.statistic)()
         number = float("nan") if found is None else float(found)  # type: ignore[arg-type]
         return Criterion(self.name, number, self.limit, "")
 
@@ -74,6 +84,25 @@ class Limit:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Along:
+    """What others report of a measure at values of a factor."""
+
+    factor: str
+    measure: str
+    at: tuple[float, ...]
+    """Values of the factor, in its unit."""
+    values: tuple[float, ...]
+    """Their numbers there, in the unit of the measure; those of ours are means."""
+
+    def __post_init__(self) -> None:
+        if len(self.at) != len(self.values) or not self.at:
+            raise InputError(
+                f"published {self.measure} along {self.factor}: got {len(self.values)} values at "
+                f"{len(self.at)} places, need one at each"
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
 class Published:
     """What others report of the same job."""
 
@@ -85,6 +114,17 @@ class Published:
     """What differs from ours."""
     measures: Mapping[str, float] = field(default_factory=dict)
     """Their numbers, by the name of our measure."""
+    largest: tuple[str, ...] = ()
+    """Measures whose number is the largest over their rollouts; of the others it is the mean."""
+    deviations: Mapping[str, float] = field(default_factory=dict)
+    """Standard deviation over their rollouts, where they give it."""
+    along: tuple[Along, ...] = ()
+    """Their numbers along a factor."""
+
+    def __post_init__(self) -> None:
+        for name in (*self.largest, *self.deviations):
+            if name not in self.measures:
+                raise unknown_name(f"measure published by {self.name!r}", name, self.measures)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -110,6 +150,8 @@ class Study:
     """Measures that are printed and drawn, the most telling first."""
     criteria: tuple[Limit, ...] = ()
     published: tuple[Published, ...] = ()
+    notes: str = ""
+    """What a reader must know: what differs, and why it departs; paragraphs, a blank line apart."""
 
     def __post_init__(self) -> None:
         self._check_inputs()
@@ -128,18 +170,25 @@ class Study:
         for factor in self.factors:
             for value in (factor.low, factor.high, *factor.values):
                 parameters[factor.name].value(value, factor.name)
-        if self.repeats < 1:
-            raise InputError(f"repeats: got {self.repeats}, need at least 1")
+        if not 1 <= self.repeats <= MOST_REPEATS:
+            raise InputError(f"repeats: got {self.repeats}, need 1 to {MOST_REPEATS}")
         if self.search is not None:
             self.search.check(self.system, names, self.fixed)
         elif not self.factors and self.repeats == 1:
-            raise InputError("factors: got none and no repeats, need at least one of them")
+            raise InputError(
+                "nothing varies: need a factor (NAME with low and high) or repeats > 1"
+            )
 
     def _check_outputs(self) -> None:
         published = [name for one in self.published for name in one.measures]
-        for name in (*self.show, *published):
+        along = [one for other in self.published for one in other.along]
+        for name in (*self.show, *published, *(one.measure for one in along)):
             if name not in self.measures:
                 raise unknown_name("measure", name, self.measures)
+        factors = [factor.name for factor in self.columns]
+        for one in along:
+            if one.factor not in factors:
+                raise unknown_name("factor", one.factor, factors)
         for limit in self.criteria:
             if limit.measure not in (*self.measures, *OutcomeClass):
                 raise unknown_name("measure", limit.measure, (*self.measures, *OutcomeClass))
@@ -181,8 +230,13 @@ class Study:
         return {**usual, **self.fixed, **point}
 
     def judge(self, table: pl.DataFrame) -> tuple[Criterion, ...]:
-        """Return the study's criteria on its rows."""
-        return tuple(limit.judge(table) for limit in self.criteria)
+        """Return the study's criteria on its rows.
+
+        Rollouts that diverged miss every other criterion, unless one says how many may.
+        """
+        allowed = [one for one in self.criteria if one.measure == OutcomeClass.DIVERGED]
+        may_diverge = any(one.limit > 0 for one in allowed)
+        return tuple(limit.judge(table, may_diverge=may_diverge) for limit in self.criteria)
 
     def configuration(self) -> dict[str, Any]:
         """Return the study as its file would say it, with every default filled in."""
@@ -193,7 +247,8 @@ class Study:
             for f in self.factors
         }
         plain = {
-            **{"name": self.name, "summary": self.summary, "system": self.system.name},
+            **{"name": self.name, "summary": self.summary, "notes": self.notes},
+            "system": self.system.name,
             **{"controllers": self.controllers, "repeats": self.repeats, "show": self.show},
             **{"factors": factors, "fixed": dict(self.fixed)},
             **({} if isinstance(self.search, Worst) else {"design": asdict(self.design)}),

@@ -1,6 +1,7 @@
 """Study files: a study as TOML, the ready-made ones and a user's own.
 
 system = "arm-on-plane"
+notes = "what differs"           # what a reader must know, printed with the results
 controllers = ["qp", "textbook"]
 repeats = 1                      # rollouts at each point, default 1
 show = ["force_ratio"]           # measures that are printed and drawn
@@ -40,7 +41,7 @@ from scenarios.study.design import Design
 from scenarios.study.factor import Factor
 from scenarios.study.parameter import Parameter, number
 from scenarios.study.search import Boundary, Worst
-from scenarios.study.study import Limit, Published, Study
+from scenarios.study.study import Along, Limit, Published, Study
 from scenarios.study.system import System
 from scenarios.study.systems import SYSTEMS
 
@@ -50,7 +51,7 @@ READY = Path(__file__).parent / "ready"
 """Files of the studies that come with the package."""
 
 TABLES, LISTS = ("factors", "fixed", "design", "boundary", "worst"), ("criteria", "published")
-KEYS = ("summary", "system", "controllers", "repeats", "show", *TABLES, *LISTS)
+KEYS = ("summary", "notes", "system", "controllers", "repeats", "show", *TABLES, *LISTS)
 FACTOR_KEYS = ("low", "high", "values", "distribution")
 
 
@@ -70,7 +71,7 @@ def find_study(name: str) -> Path:
             raise InputError(f"study file {name!r}: there is none")
         return Path(name)
     if name not in ready_studies():
-        raise unknown_name("study", name, (*ready_studies(), "list", "status", "query"))
+        raise unknown_name("study", name, (*ready_studies(), "list", "system", "status", "query"))
     return READY / f"{name}.toml"
 
 
@@ -82,7 +83,7 @@ def read_study(path: Path) -> dict[str, Any]:
     """
     try:
         found = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         said = getattr(error, "strerror", None) or " ".join(str(error).split())
         raise InputError(f"study file {str(path)!r}: {said}") from error
     _check_keys(found, f"study {path.stem!r}")
@@ -115,6 +116,7 @@ def study_of(said: Mapping[str, Any]) -> Study:
             show=_names(said, "show", []),
             criteria=tuple(_filled(Limit, one, "criteria") for one in said.get("criteria", ())),
             published=tuple(_published(one) for one in said.get("published", ())),
+            notes=_fitting(str, said.get("notes", ""), "notes").strip(),
         )
     except InputError as error:
         raise InputError(f"{where}: {error}") from error
@@ -210,9 +212,24 @@ def _search(said: Mapping[str, Any]) -> Boundary | Worst | None:
 def _published(said: Any) -> Published:
     if not isinstance(said, dict) or not isinstance(said.get("measures"), dict):
         raise InputError(f"published: got {said!r}, need a table with name, source and measures")
-    words = _filled(Published, {k: v for k, v in said.items() if k != "measures"}, "published")
-    numbers = {k: _fitting(float, v, f"published.{k}") for k, v in said["measures"].items()}
-    return dataclasses.replace(words, measures=numbers)
+    inner = ("measures", "deviations", "along")
+    words = {k: v for k, v in said.items() if k not in (*inner, "largest")}
+    largest = _fitting(tuple[str, ...], said.get("largest", []), "published.largest")
+    _filled(Published, words, "published")
+    along = said.get("along", [])
+    if not isinstance(along, list) or not isinstance(said.get("deviations", {}), dict):
+        raise InputError(f"published: got {said!r}, need deviations as a table, along as a list")
+    return Published(
+        **words,
+        largest=largest,
+        along=tuple(_filled(Along, one, "published.along") for one in along),
+        measures=_numbers(said["measures"]),
+        deviations=_numbers(said.get("deviations", {})),
+    )
+
+
+def _numbers(said: Mapping[str, Any]) -> dict[str, float]:
+    return {name: number(value, f"published.{name}") for name, value in said.items()}
 
 
 def _filled(kind: type[T], said: Any, where: str) -> T:
@@ -238,6 +255,10 @@ def _fitting(kind: Any, value: Any, where: str) -> Any:
         if isinstance(value, bool) or not isinstance(value, int):
             raise InputError(f"{where}: got {value!r}, need a whole number")
         return value
+    if kind == tuple[float, ...]:
+        if not isinstance(value, list):
+            raise InputError(f"{where}: got {value!r}, need a list of numbers")
+        return tuple(number(v, where) for v in value)
     names = kind == tuple[str, ...]
     if names and isinstance(value, list) and all(isinstance(v, str) for v in value):
         return tuple(value)

@@ -11,6 +11,7 @@ from scenarios.scenario import Criterion
 from scenarios.study.importance import importance
 from scenarios.study.outcome import FAILURES, OutcomeClass
 from scenarios.study.rate import bootstrap_means, percentile_interval, wilson
+from scenarios.study.search import Worst
 from scenarios.study.study import Study
 from scenarios.study.word import shown, unit_of, words_of
 
@@ -60,7 +61,8 @@ def summarise(study: Study, table: pl.DataFrame) -> dict[str, Any]:
     """Return counts of outcomes, words of the measures, and what each controller achieved.
 
     Rates have Wilson intervals, means those of a bootstrap over the rollouts that have the
-    measure; both of 95 %. A rollout that diverged has no measures and is in no mean. Where the
+    measure; both of 95 %. Where the rollouts are no sample, ``sampled`` is false and there are
+    none of them. A rollout that diverged has no measures and is in no mean. Where the
     design is made for them, ``sensitivity`` holds the indices or effects of the factors.
     """
     names = told(study)
@@ -68,6 +70,7 @@ def summarise(study: Study, table: pl.DataFrame) -> dict[str, Any]:
         "rows_done": len(table),
         "outcomes": _counts(table),
         "measures": {n: {"words": words_of(study, n), "unit": unit_of(study, n)} for n in names},
+        "sampled": is_sampled(study),
         "contact": study.search is None and "contact_lost_fraction" in study.measures,
         "controllers": {
             name: _of_controller(study, names, table.filter(pl.col("controller") == name))
@@ -76,6 +79,15 @@ def summarise(study: Study, table: pl.DataFrame) -> dict[str, Any]:
     }
     matters = importance(study, table)
     return {**found, "sensitivity": matters} if matters else found
+
+
+def is_sampled(study: Study) -> bool:
+    """Return whether the rollouts are a sample, so that means and rates have intervals.
+
+    One rollout at each point of levels or of a map is none: its points are chosen.
+    """
+    chosen = study.design.kind in ("levels", "map") and study.repeats == 1
+    return isinstance(study.search, Worst) or not chosen or not study.columns
 
 
 def told(study: Study) -> tuple[str, ...]:
@@ -87,7 +99,8 @@ def told(study: Study) -> tuple[str, ...]:
     own = shown(study)
     gaps = [f"{name}_gap" for name in own]
     published = [name for one in study.published for name in one.measures]
-    names = dict.fromkeys((*own, *gaps, *published, *(trade_off(study) or ())))
+    along = [one.measure for other in study.published for one in other.along]
+    names = dict.fromkeys((*own, *gaps, *published, *along, *(trade_off(study) or ())))
     return tuple(name for name in names if name in study.measures)
 
 
@@ -99,15 +112,19 @@ def trade_off(study: Study) -> tuple[str, str] | None:
     return (force[0], path[0]) if force and path else None
 
 
-def means(rows: pl.DataFrame, names: tuple[str, ...]) -> dict[str, dict[str, float]]:
+def means(
+    rows: pl.DataFrame, names: tuple[str, ...], *, sampled: bool = True
+) -> dict[str, dict[str, float]]:
     """Return the mean of each measure with its interval, over the rollouts that have it.
 
     Args:
         rows: rollouts.
         names: measures; one that no rollout has is left out.
+        sampled: whether the rollouts are a sample.
 
     Returns:
-        ``value, low, high, min, max, rollouts``; of one rollout alone no interval but itself.
+        ``value, low, high, deviation, min, max, rollouts``; ``low`` and ``high`` are left out
+        where they are no sample, and of one rollout alone they are itself.
     """
     groups: dict[bytes, list[str]] = {}  # the same rollouts are drawn for all that have them
     known = {name: rows[name].is_not_null().to_numpy() for name in names}
@@ -117,12 +134,12 @@ def means(rows: pl.DataFrame, names: tuple[str, ...]) -> dict[str, dict[str, flo
     found: dict[str, dict[str, float]] = {}
     for group in groups.values():
         values = rows.filter(pl.Series(known[group[0]])).select(group).to_numpy()
-        drawn = bootstrap_means(values, MEAN_SEED) if len(values) > 1 else values
-        low, high = percentile_interval(drawn, CONFIDENCE)
-        columns = {
-            **{"value": values.mean(axis=0), "low": low, "high": high},
-            **{"min": values.min(axis=0), "max": values.max(axis=0)},
-        }
+        columns = {"value": values.mean(axis=0)}
+        if sampled:
+            drawn = bootstrap_means(values, MEAN_SEED) if len(values) > 1 else values
+            columns["low"], columns["high"] = percentile_interval(drawn, CONFIDENCE)
+        columns |= {"min": values.min(axis=0), "max": values.max(axis=0)}
+        columns["deviation"] = values.std(axis=0, ddof=min(len(values) - 1, 1))
         for i, name in enumerate(group):
             found[name] = {key: float(column[i]) for key, column in columns.items()}
             found[name]["rollouts"] = len(values)
@@ -139,14 +156,18 @@ def _of_controller(study: Study, names: tuple[str, ...], rows: pl.DataFrame) -> 
     found: dict[str, Any] = {
         "rows": len(rows),
         "outcomes": counts,
-        "rates": {k: wilson(n, len(rows))._asdict() for k, n in counts.items() if len(rows)},
-        "measures": means(rows, names),
+        "rates": {k: _rate(study, n, len(rows)) for k, n in counts.items() if len(rows)},
+        "measures": means(rows, names, sampled=is_sampled(study)),
     }
     if len(rows):
-        found["failed"] = wilson(sum(counts[kind] for kind in FAILURES), len(rows))._asdict()
+        found["failed"] = _rate(study, sum(counts[kind] for kind in FAILURES), len(rows))
     if study.search is not None:
         found["reasons"] = dict(sorted(Counter(rows["reason"].to_list()).items()))
     return found
+
+
+def _rate(study: Study, count: int, of: int) -> dict[str, float]:
+    return wilson(count, of)._asdict() if is_sampled(study) else {"value": count / of}
 
 
 def _known(value: float) -> float | None:

@@ -2,17 +2,23 @@
 
 A controller is above or below another in a measure only where their intervals do not overlap,
 where both have the measure in every rollout, and where there are rollouts enough; in its share of
-failures only where those intervals do not overlap. A measure is compared if less of it is better:
-an error, a loss, a time. One that has a sign, or a right value, is told as a range.
+failures only where those intervals do not overlap. Where rollouts are no sample, ranges take the
+place of intervals, where these overlap nothing is said, and failures are only counted.
+
+A measure is compared if less of it is better: an error, a loss, a time. One that has a sign, or a
+right value, is told as a range.
 """
 
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from scenarios.report_style import number
+from scenarios.study.word import amount
 
 FEWEST = 20
 """Rollouts below which a bootstrap interval is too narrow to tell controllers apart."""
+
+TOLD = 2
+"""Measures that a verdict tells, the first of those that are shown; tables have them all."""
 
 COSTS = {
     *("mae", "rmse", "rms", "p95", "peak", "spread", "error", "accuracy", "repeatability"),
@@ -58,27 +64,31 @@ def standing(summary: Mapping[str, Any], measure: str, controller: str) -> str:
     known = {n: one for n, one in _measured(summary, measure).items() if _ranked(summary, n, one)}
     if controller not in known or not is_cost(summary, measure):
         return ""
-    return _compared(known, controller, "best", "worst")
+    return _compared(summary, known, controller, "best", "worst")
 
 
 def failure_standing(summary: Mapping[str, Any], controller: str) -> str:
     """Return how often a controller fails, compared with the others; nothing if none does."""
     rates = {n: one["failed"] for n, one in summary["controllers"].items() if one["rows"]}
-    if not any(one["value"] > 0 for one in rates.values()):
+    if not summary["sampled"] or not any(one["value"] > 0 for one in rates.values()):
         return ""
-    return _compared(rates, controller, "fewest failures", "most failures")
+    return _compared(summary, rates, controller, "fewest failures", "most failures")
 
 
 def _compared(
-    known: Mapping[str, Mapping[str, float]], controller: str, best: str, worst: str
+    summary: Mapping[str, Any],
+    known: Mapping[str, Mapping[str, float]],
+    controller: str,
+    best: str,
+    worst: str,
 ) -> str:
     """Return the place of a controller's interval among those of all; less is better."""
-    others = dict(known)
-    own = others.pop(controller)
+    others = {name: _ends(one) for name, one in known.items()}
+    low, high = others.pop(controller)
     if not others:
         return ""
-    better = [name for name, one in others.items() if one["high"] < own["low"]]
-    worse = [name for name, one in others.items() if one["low"] > own["high"]]
+    better = [name for name, one in others.items() if one[1] < low]
+    worse = [name for name, one in others.items() if one[0] > high]
     alike = [name for name in others if name not in (*better, *worse)]
     if not alike:
         place, of = len(better) + 1, len(others) + 1
@@ -86,6 +96,8 @@ def _compared(
             return f"{best if place == 1 else worst} of {of}"
         return f"{ORDINALS.get(place, f'{place}th')} of {of}"
     behind = f", more than {_and(better)}" if better else ""
+    if not summary["sampled"]:
+        return behind.removeprefix(", ")
     return f"not distinguishable from {_and(alike)}{behind}"
 
 
@@ -95,22 +107,24 @@ def measure_text(summary: Mapping[str, Any], measure: str, one: Mapping[str, flo
     unit = f" {unit}" if unit else ""
     words += ":" if words[-1:].isdigit() else ""
     if one["rollouts"] == 1:
-        return f"{words} {number(one['value'])}{unit}"
-    if not is_cost(summary, measure):
+        return f"{words} {amount(one['value'])}{unit}"
+    if not is_cost(summary, measure) or "low" not in one:
         return f"{words.removesuffix(':')}: {span(one['min'], one['max'])}{unit}"
-    interval = f"{SURE}: {number(one['low'])} … {number(one['high'])}"
-    return f"{words} {number(one['value'])}{unit} ({interval})"
+    interval = f"{SURE}: {amount(one['low'])} … {amount(one['high'])}"
+    return f"{words} {amount(one['value'])}{unit} ({interval})"
 
 
 def percent(rate: Mapping[str, float]) -> str:
-    """Return a share with its interval: ``4.3 %, 95 %: 1.5 … 11.9 %``."""
-    value, low, high = (number(100 * rate[key]) for key in ("value", "low", "high"))
+    """Return a share with its interval, if it has one: ``4.3 %, 95 %: 1.5 … 11.9 %``."""
+    if "low" not in rate:
+        return f"{amount(100 * rate['value'])}\u00a0%"
+    value, low, high = (amount(100 * rate[key]) for key in ("value", "low", "high"))
     return f"{value}\u00a0%, {SURE}: {low} … {high}\u00a0%"
 
 
 def span(low: float, high: float, digits: int = 3) -> str:
     """Return a range, or its one value where the two are written the same."""
-    ends = number(low, digits), number(high, digits)
+    ends = amount(low, digits), amount(high, digits)
     return ends[0] if ends[0] == ends[1] else " … ".join(ends)
 
 
@@ -122,16 +136,16 @@ def _clauses(summary: Mapping[str, Any], name: str) -> list[str]:
     found = [_search(one)] if boundary else _outcomes(summary, name)
     compared = False
     for measure, values in one["measures"].items():
-        if measure not in _shown(summary):
+        if measure not in _told(summary):
             continue
         place = standing(summary, measure, name)
         said = [measure_text(summary, measure, values), place]
         if gap := one["measures"].get(f"{measure}_gap"):
-            said.append(f"within {number(gap['max'])} of its closed form")
+            said.append(f"within {amount(gap['max'])} of its closed form")
         found.append(", ".join(words for words in said if words))
         compared |= is_cost(summary, measure)
     if compared and len(summary["controllers"]) > 1:
-        found += _unranked(one)
+        found += _unranked(summary, one)
     return found
 
 
@@ -164,15 +178,25 @@ def _search(one: Mapping[str, Any]) -> str:
     return ", ".join(found)
 
 
-def _unranked(one: Mapping[str, Any]) -> list[str]:
+def _unranked(summary: Mapping[str, Any], one: Mapping[str, Any]) -> list[str]:
     rows = one["rows"]
     if missing := one["outcomes"]["diverged"]:
         return [f"its numbers are of the other {rows - missing}, so it is not ranked"]
-    return [f"{rows} rollouts are too few to rank it"] if rows < FEWEST else []
+    return [f"{rows} rollouts are too few to rank it"] if rows < _fewest(summary) else []
 
 
 def _ranked(summary: Mapping[str, Any], name: str, one: Mapping[str, float]) -> bool:
-    return one["rollouts"] == summary["controllers"][name]["rows"] >= FEWEST
+    return one["rollouts"] == summary["controllers"][name]["rows"] >= _fewest(summary)
+
+
+def _fewest(summary: Mapping[str, Any]) -> int:
+    return FEWEST if summary["sampled"] else 1
+
+
+def _ends(one: Mapping[str, float]) -> tuple[float, float]:
+    """Return the ends of an interval; without one of the range, or of the value alone."""
+    low, high = ("low", "high") if "low" in one else ("min", "max")
+    return one.get(low, one["value"]), one.get(high, one["value"])
 
 
 def _measured(summary: Mapping[str, Any], measure: str) -> dict[str, Mapping[str, float]]:
@@ -180,8 +204,8 @@ def _measured(summary: Mapping[str, Any], measure: str) -> dict[str, Mapping[str
     return {name: one for name, one in found.items() if one is not None}
 
 
-def _shown(summary: Mapping[str, Any]) -> Sequence[str]:
-    return summary["configuration"]["show"] or tuple(summary["measures"])[:1]
+def _told(summary: Mapping[str, Any]) -> Sequence[str]:
+    return summary["configuration"]["show"][:TOLD] or tuple(summary["measures"])[:1]
 
 
 def _listed(counts: Mapping[str, int]) -> str:

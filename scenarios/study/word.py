@@ -3,6 +3,7 @@
 import re
 
 from scenarios.report_style import number
+from scenarios.scenario import Criterion
 from scenarios.study.factor import Factor
 from scenarios.study.search import Boundary
 from scenarios.study.study import Limit, Study
@@ -15,6 +16,11 @@ UNITS = {
     **{unit: unit for unit in ("deg", "rad", "ticks")},
 }
 """Units as they stand at the end of names, and as they are written."""
+
+ROUND_OFF = 1e-12
+"""Numbers below it are told as 0."""
+RATIO_DIGITS = 5
+"""Of ratios in tables: what matters is how far they are from 1."""
 
 STATISTICS = {"max": "largest", "mean": "mean over the rollouts", "min": "smallest"}
 
@@ -90,6 +96,32 @@ def limit_words(study: Study, limit: Limit) -> str:
     if limit.measure not in study.measures:
         return f"share of rollouts{who}: {limit.measure}"
     return f"{words_of(study, limit.measure)}, {STATISTICS[limit.statistic]}{who}"
+
+
+def paragraphs(text: str) -> list[str]:
+    """Return the parts of a text that a blank line separates, each on one line."""
+    return [" ".join(part.split()) for part in re.split(r"\n\s*\n", text) if part.strip()]
+
+
+def amount(value: float, digits: int = 3) -> str:
+    """Return a number with ``digits`` significant ones; 0 where it is but round-off."""
+    return number(0.0 if abs(value) < ROUND_OFF else value, digits)
+
+
+def is_nothing(criterion: Criterion) -> bool:
+    """Return whether the value of a criterion is but round-off, and 0 would hold as well."""
+    return abs(criterion.value) < ROUND_OFF and criterion.passed and criterion.limit >= 0
+
+
+def entry(name: str, value: float, digits: int = 3) -> str:
+    """Return a number of a measure as it stands in tables: a ratio with 5 digits."""
+    return amount(value, digits_of(name, digits))
+
+
+def digits_of(name: str, digits: int = 3) -> int:
+    """Return how many digits of a measure stand in tables: of a ratio 5, of others ``digits``."""
+    ratio = name.removesuffix("_closed").endswith("_ratio")
+    return max(digits, RATIO_DIGITS) if ratio else digits
 
 
 def titled(words: str, unit: str) -> str:

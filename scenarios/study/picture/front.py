@@ -57,8 +57,9 @@ def front_panel(study: Study, table: pl.DataFrame, summary: Mapping[str, Any]) -
     ]
     figure = grid([Cell(traces=traces, x=axes[1], y=axes[0])], 1, height=440)
     figure["layout"]["hovermode"] = "closest"
+    intervals = " with 95 % intervals" if summary["sampled"] else ""
     caption = (
-        "Large marks: mean of a controller with 95 % intervals. Line: the front, on which no "
+        f"Large marks: mean of a controller{intervals}. Line: the front, on which no "
         "other controller is better in both means. Dots: rollouts."
         f"{' Stars: published.' if others else ''} {thinned_words(drawn, of)}"
     )
@@ -76,7 +77,9 @@ def _cloud(rows: pl.DataFrame, pair: tuple[str, str], seen: Look) -> dict[str, A
 def _mean(
     name: str, one: Mapping[str, Mapping[str, float]], pair: tuple[str, str], seen: Look
 ) -> dict[str, Any]:
-    ends = [np.array([[one[m][k]] for k in ("value", "low", "high")]) for m in pair]
+    ends = [
+        np.array([[one[m].get(k, one[m]["value"])] for k in ("value", "low", "high")]) for m in pair
+    ]
     (y, y_low, y_high), (x, x_low, x_high) = ends
     mark = {"color": seen.colour, "size": 13, "symbol": seen.symbol.removesuffix("-open")}
     mark |= {"line": {"color": "white", "width": 1}}

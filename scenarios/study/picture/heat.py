@@ -1,5 +1,6 @@
 """Heat maps over two factors: how often rollouts fail, and means of measures."""
 
+import itertools
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -13,7 +14,9 @@ from scenarios.study.picture.grid import Cell, grid
 from scenarios.study.picture.limit import MOST_CELLS, Facet, facets
 from scenarios.study.rate import wilson
 from scenarios.study.study import Study
+from scenarios.study.summary import is_sampled
 from scenarios.study.word import (
+    entry,
     factor_title,
     heading,
     level_text,
@@ -37,7 +40,8 @@ class Tile(NamedTuple):
     x: str
     y: str
     """Levels of the two factors in words."""
-    z: float
+    z: float | None
+    """None where there is no number."""
     hover: str
 
 
@@ -54,7 +58,7 @@ def heat_panels(study: Study, table: pl.DataFrame) -> list[Panel]:
         panels.append(Panel("map-failed", words, _caption(study), figure))
     for name in shown(study):
         tiles = [_means(study, facet.rows, name) for facet in parts]
-        values = [tile.z for some in tiles for tile in some]
+        values = [tile.z for some in tiles for tile in some if tile.z is not None]
         if values:
             figure = _figure(study, parts, tiles, unit_of(study, name), _scale(values))
             words = heading(study, name)
@@ -65,10 +69,13 @@ def heat_panels(study: Study, table: pl.DataFrame) -> list[Panel]:
 def _rates(study: Study, rows: pl.DataFrame, kinds: Sequence[str]) -> list[Tile]:
     tiles = []
     for x, y, own in _places(study, rows):
+        if own.is_empty():
+            tiles.append(Tile(x, y, None, "no rollouts yet"))
+            continue
         count = int(own["outcome"].is_in(list(kinds)).sum())
-        rate = wilson(count, len(own))
-        low, high = number(100 * rate.low), number(100 * rate.high)
-        hover = f"{count} of {len(own)}, 95 %: {low} … {high} %"
+        rate, hover = wilson(count, len(own)), f"{count} of {len(own)}"
+        if is_sampled(study):
+            hover += f", 95 %: {number(100 * rate.low)} … {number(100 * rate.high)} %"
         tiles.append(Tile(x, y, 100 * rate.value, hover))
     return tiles
 
@@ -77,19 +84,27 @@ def _means(study: Study, rows: pl.DataFrame, name: str) -> list[Tile]:
     tiles = []
     for x, y, own in _places(study, rows):
         values = own[name].drop_nulls().to_numpy()
-        if len(values):
-            mean = float(values.mean())
-            said = f"{number(mean, 4)} {unit_of(study, name)}, mean of {len(values)}"
-            tiles.append(Tile(x, y, mean, said))
+        if not len(values):
+            tiles.append(Tile(x, y, None, "no number" if len(own) else "no rollouts yet"))
+            continue
+        mean = float(values.mean())
+        said = f"{entry(name, mean, 4)} {unit_of(study, name)}".strip()
+        said += f", mean of {len(values)}" if len(values) > 1 else ""
+        tiles.append(Tile(x, y, mean, said))
     return tiles
 
 
 def _places(study: Study, rows: pl.DataFrame) -> list[tuple[str, str, pl.DataFrame]]:
+    """Return each pair of levels of the two factors in words, with its rows, which may be none."""
     first, second = study.columns[:2]
-    found = []
-    for (x, y), own in rows.group_by(first.column, second.column, maintain_order=True):
-        found.append((level_text(study, first, x), level_text(study, second, y), own))
-    return found
+    pairs = itertools.product(
+        *([float(x) for x in f.levels(study.design.size)] for f in (first, second))
+    )
+    parts = rows.partition_by(first.column, second.column, as_dict=True)
+    return [
+        (level_text(study, first, x), level_text(study, second, y), parts.get((x, y), rows.clear()))
+        for x, y in pairs
+    ]
 
 
 def _figure(
@@ -107,7 +122,10 @@ def _figure(
         drawn: dict[str, Any] = {
             "type": "heatmap",
             **{"x": [t.x for t in some], "y": [t.y for t in some]},
-            **{"z": [float(f"{t.z:.5g}") for t in some], "text": [t.hover for t in some]},
+            **{
+                "z": [t.z if t.z is None else float(f"{t.z:.5g}") for t in some],
+                "text": [t.hover for t in some],
+            },
             **{"coloraxis": "coloraxis", "xgap": 1, "ygap": 1},
             "hovertemplate": hover,
         }
@@ -144,7 +162,9 @@ def _caption(study: Study, table: pl.DataFrame | None = None, name: str = "") ->
     if study.repeats > 1:
         said.append(f"{study.repeats} rollouts at each point.")
     if table is not None:
-        said.insert(0, f"Mean of {title(study, name)}.")
+        of = "Mean of " if study.repeats > 1 else ""
+        words = f"{of}{title(study, name)}."
+        said.insert(0, words[:1].upper() + words[1:])
         if gone := table[name].null_count():
             said.append(f"{gone} of {len(table)} rollouts have no number and are in no mean.")
     whole = len(study.controllers)

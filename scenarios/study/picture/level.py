@@ -132,7 +132,20 @@ def _traces(study: Study, factor: Factor, rows: pl.DataFrame, name: str) -> list
         if len(at.x):
             lines = whole and not forms
             traces.append(marks(at, controller, look(i), unit_of(study, name), lines=lines))
-    return [*forms, *traces]
+    return [*forms, *traces, *_published(study, factor, name)]
+
+
+def _published(study: Study, factor: Factor, name: str) -> list[dict[str, Any]]:
+    """Return what others report along the factor, as stars."""
+    found = []
+    for other in study.published:
+        for one in other.along:
+            if (one.factor, one.measure) == (factor.name, name):
+                mark = {"symbol": "star", "size": 11, "color": style.INK}
+                x, y = np.array(one.at), np.array(one.values)
+                drawn = trace(x, y, f"{other.name}, published", mode="markers", marker=mark)
+                found.append(drawn | {"hovertemplate": f"%{{y:.5g}} {unit_of(study, name)}"})
+    return found
 
 
 def _forms(
@@ -199,6 +212,8 @@ def _caption(study: Study, table: pl.DataFrame, name: str) -> str:
         said.append("Marks: measured. Line: closed form.")
     if study.repeats > 1:
         said.append(f"Mean of {study.repeats} rollouts with its 95 % interval.")
+    if any(one.measure == name for other in study.published for one in other.along):
+        said.append("Stars: published.")
     if gone := table[name].null_count():
         why = missing_words(study, table, name)
         said.append(f"{gone} of {len(table)} have no number ({why}): ticks at the upper edge.")

@@ -1,9 +1,9 @@
-"""Systems that a study can run, by name; a new one is one file here and one entry below."""
+"""Systems that a study can run, by name; a new one is one package here and one entry below."""
 
 from scenarios.study.system import System
-from scenarios.study.systems.arm_on_plane import ArmOnPlane
+from scenarios.study.systems.arm import ArmOnPlane
 from scenarios.study.systems.hinge import HingedDoor
-from scenarios.study.systems.mass_on_wall import MassOnWall
+from scenarios.study.systems.mass import MassOnWall
 from scenarios.study.systems.rows import FaceOnExactPlane
 from scenarios.study.systems.wipe import Wipe
 

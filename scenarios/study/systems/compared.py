@@ -18,6 +18,10 @@ def compared(name: str, found: float | None, closed: float | None, floor: float 
     return {name: found, f"{name}_closed": closed, f"{name}_gap": gap}
 
 
-def compared_words(name: str, words: str, closed: str = "its closed form") -> dict[str, str]:
+def compared_words(name: str, words: str, closed: str = "closed form") -> dict[str, str]:
     """Return the words of what `compared` returns."""
-    return {name: words, f"{name}_closed": closed, f"{name}_gap": "relative distance of the two"}
+    return {
+        name: words,
+        f"{name}_closed": f"{words}: {closed}",
+        f"{name}_gap": f"{words}: relative distance from its closed form",
+    }

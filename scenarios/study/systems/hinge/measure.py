@@ -6,13 +6,13 @@ import polars as pl
 
 from qpctrl.arrays import Matrix, Wrench
 from qpctrl.robot import Robot
-from scenarios.metric import column, energy_metrics, tick_metrics
+from scenarios.metric import column, energy_metrics
 from scenarios.record import WRENCH
-from scenarios.study.outcome import FORCE_MEASURES, TICK_MEASURES, force_measures
+from scenarios.study.outcome import FORCE_MEASURES, TICK_MEASURES, force_measures, tick_measures
 from scenarios.study.system import Measures, Setting
 from scenarios.study.systems.compared import compared, compared_words
 from scenarios.study.systems.equilibrium import Loop
-from scenarios.study.systems.hinge_forms import Door, angle_between, at_rest, outward, turned
+from scenarios.study.systems.hinge.forms import Door, angle_between, at_rest, outward, turned
 from scenarios.study.systems.wrong_normal import mobility
 
 PRESSED = 0.2  # s, from which on the force is judged
@@ -26,12 +26,12 @@ MEASURES = {
     **compared_words("lag_deg", "angle asked for − angle of the door, open"),
     **compared_words(
         "normal_error_deg",
-        "angle between true and believed way of the handle, half-way",
-        "the same by geometry",
+        "angle between true and believed way of the handle, half-way; a check of the plant",
+        "by geometry",
     ),
-    "normal_error_share": "its largest value over atan(|offset| / radius)",
+    "normal_error_share": "largest angle between the two ways, over atan(|offset| / radius)",
     "handle_error_mm": "distance of the handle from where it is asked to be, open",
-    "orientation_error_deg": "angle between the two, open",
+    "orientation_error_deg": "angle between the handle and what is asked of it, open",
     "constraint_peak_N": "largest force on the handle",
     "constraint_peak_Nm": "largest moment on the handle",
     "energy_J": "energy given to the door, which takes none",
@@ -49,8 +49,6 @@ def hinge_measures(
     judged = column(table, "time") >= PRESSED
     F_d = np.stack([column(table, f"force.F_des.{i}") for i in range(3)], axis=1)
     along = (F[:, :3] * F_d).sum(axis=1) / setting["force"]
-    ticks = tick_metrics(table)
-    gap = ticks["qp_law_gap_max"]
     return {
         **_open(robot, frame, door, loop, table, F[-1], setting),
         **_way(door, table, setting),
@@ -58,9 +56,7 @@ def hinge_measures(
         "constraint_peak_Nm": _largest(F[judged, 3:]),
         "energy_J": energy_metrics(table)["energy_to_environment_J"],
         **force_measures(along[judged], setting["force"]),
-        "saturated_fraction": ticks["saturated_fraction"],
-        "fallback_ticks": ticks["fallback_ticks"],
-        "qp_law_gap_max": None if np.isnan(gap) else gap,
+        **tick_measures(table),
     }
 
 

@@ -6,16 +6,18 @@ import numpy as np
 import polars as pl
 
 from qpctrl.arrays import Matrix, Vector
-from scenarios.metric import column, rms, tick_metrics
+from scenarios.metric import column, rms
 from scenarios.study.outcome import (
     CONTACT_MEASURES,
     FORCE_MEASURES,
     TICK_MEASURES,
     contact_measures,
     force_measures,
+    tick_measures,
 )
 from scenarios.study.system import Measures, Setting
-from scenarios.study.systems.mass_forms import COMPLIANT, steady_force, steady_offset, true_axes
+from scenarios.study.systems.compared import compared, compared_words
+from scenarios.study.systems.mass.forms import COMPLIANT, steady_force, steady_offset, true_axes
 
 STEADY = 0.1  # share of a run, at its end, over which what does not change any more is averaged
 NO_OFFSET = 1e-3  # mm, what an offset is compared with where its closed form is smaller
@@ -23,25 +25,19 @@ ROUND_OFF = 1e-10  # times the set-point, from tick to tick
 LETS_GO = 2.0  # least growth of a force that lets go of its wall meanwhile
 
 MEASURES = {
-    "force_ratio": "force on the wall over the set-point, at the end",
-    "force_ratio_closed": "its closed form, at rest or at a constant speed",
-    "force_ratio_gap": "relative distance of the two",
-    "offset_mm": "offset along the wall at the end, holding still",
-    "offset_mm_closed": "its closed form",
-    "offset_mm_gap": "relative distance of the two",
-    "slide_speed_m_s": "speed at the end, sliding",
-    "slide_speed_m_s_closed": "its closed form, v / cos α",
-    "slide_speed_m_s_gap": "relative distance of the two",
+    **compared_words("force_ratio", "force on the wall over the set-point, at the end"),
+    **compared_words("offset_mm", "offset along the wall at the end, holding still"),
+    **compared_words("slide_speed_m_s", "speed at the end, sliding", "closed form, v / cos α"),
     "growth": "changes of force in the last quarter over those in the second; ≤ 1: it settles; "
     "2 or more where the mass leaves a compliant wall meanwhile",
     **FORCE_MEASURES,
     **CONTACT_MEASURES,
     **TICK_MEASURES,
 }
-"""Words of what `measure` returns."""
+"""Words of what `mass_measures` returns."""
 
 
-def measure(table: pl.DataFrame, setting: Setting) -> Measures:
+def mass_measures(table: pl.DataFrame, setting: Setting) -> Measures:
     """Return the measures of a run that lasted to its end.
 
     Args:
@@ -50,17 +46,14 @@ def measure(table: pl.DataFrame, setting: Setting) -> Measures:
     """
     force = setting["force"]
     lam = _xy(table, "wrench.f").dot(true_axes(setting)[0])[1:]  # the first one is not known
-    judged, ticks = lam[len(lam) // 2 :], tick_metrics(table)
-    gap = ticks["qp_law_gap_max"]
+    judged = lam[len(lam) // 2 :]
     bounces = setting["wall"] == COMPLIANT and (lam[len(lam) // 4 :] <= 0).any()
     return {
         **_beside_closed_forms(table.tail(math.ceil(STEADY * len(table))), setting),
         "growth": max(growth(lam / force), LETS_GO if bounces else 0.0),
         **force_measures(judged, force),
-        **contact_measures(_touching(judged, setting), 1 / setting["rate"]),
-        "saturated_fraction": ticks["saturated_fraction"],
-        "fallback_ticks": ticks["fallback_ticks"],
-        "qp_law_gap_max": None if np.isnan(gap) else gap,
+        **contact_measures(_touching(lam, setting)[len(lam) // 2 :], 1 / setting["rate"]),
+        **tick_measures(table),
     }
 
 
@@ -88,26 +81,20 @@ def _beside_closed_forms(end: pl.DataFrame, setting: Setting) -> Measures:
     steady = speed < setting["acceleration"] * setting["duration"] / 2  # reached by half of it
     closed = steady_force(setting) if steady else None
     ratio_closed = None if closed is None else closed / force
-    found: dict[str, float | None] = dict.fromkeys(MEASURES)
-    found |= _compared("force_ratio", lam / force, ratio_closed)
+    none = dict.fromkeys(MEASURES)
+    pressed = compared("force_ratio", lam / force, ratio_closed)
     if speed > 0:
         v = float(np.linalg.norm(_xy(end, "v."), axis=1).mean())
-        return found | _compared("slide_speed_m_s", v, speed / n[0] if steady else None)
+        slid = compared("slide_speed_m_s", v, speed / n[0] if steady else None)
+        return {**none, **pressed, **slid}
     offset = 1e3 * float(_xy(end, "q.").dot(t).mean())
     offset_closed = None if closed is None else 1e3 * steady_offset(setting, closed)
-    return found | _compared("offset_mm", offset, offset_closed, least=NO_OFFSET)
-
-
-def _compared(
-    name: str, value: float, closed: float | None, least: float = 0.0
-) -> dict[str, float | None]:
-    """Return a measure, its closed form and their distance, relative to ``least`` or more."""
-    gap = None if closed is None else abs(value - closed) / max(abs(closed), least)
-    return {name: value, f"{name}_closed": closed, f"{name}_gap": gap}
+    held = compared("offset_mm", offset, offset_closed, floor=NO_OFFSET)
+    return {**none, **pressed, **held}
 
 
 def _touching(lam: Vector, setting: Setting) -> Vector:
-    """Return whether the mass touches, tick by tick: a rigid wall that cannot pull has let go."""
+    """Return whether the mass touches, tick by tick: a rigid wall that pulled once has let go."""
     pushed = lam > 0
     return pushed if setting["wall"] == COMPLIANT else np.logical_and.accumulate(pushed)
 

@@ -16,7 +16,8 @@ from qpctrl.robot import Robot
 from qpctrl.space import TaskSpace
 from scenarios.scenario import Options
 from scenarios.study.system import Setting
-from scenarios.study.systems.wipe_guide import (
+from scenarios.study.systems.law import LAW_WORDS
+from scenarios.study.systems.wipe.guide import (
     FORCE_RAMP,
     Follow,
     Job,
@@ -25,7 +26,7 @@ from scenarios.study.systems.wipe_guide import (
     WipeGuide,
     YieldTo,
 )
-from scenarios.study.systems.wipe_world import PAD_HALF, STEP, believed_world, joint_level
+from scenarios.study.systems.wipe.world import PAD_HALF, STEP, believed_world, joint_level
 from scenarios.study.systems.wrong_normal import mobility
 from scenarios.world import TOOL, Tip
 from tasks import ForceTask, ImpedanceTask, MotionTask, PostureTask
@@ -149,8 +150,8 @@ def _cone_gains(setting: Setting) -> Gains:
 
 def _spring_gains(setting: Setting) -> Gains:
     """Return stiffness and critical damping of each direction alone, at home."""
-    K = np.repeat([setting["stiffness"], setting["stiffness_rot"]], 3)
-    K[2] = setting["stiffness_normal"]
+    K = np.repeat([setting["spring"], setting["spring_rot"]], 3)
+    K[2] = setting["spring_normal"]
     B = 2 * np.sqrt(K * _inertia())
     weight = np.array(setting["motion_weight"])
     return {"motion": {"K_v": np.diag(K), "B_v": np.diag(B), "weight": weight}}
@@ -194,8 +195,8 @@ def _pressing_kind(
 
 KINDS: dict[str, Kind] = {
     "qp": _pressing_kind("the QP: motion along the board, PI force with damping on it"),
-    "hybrid": _pressing_kind("the closed form that the QP equals", law="hybrid"),
-    "textbook": _pressing_kind("the closed form as printed", law="textbook"),
+    "hybrid": _pressing_kind(LAW_WORDS["hybrid"], law="hybrid"),
+    "textbook": _pressing_kind(LAW_WORDS["textbook"], law="textbook"),
     "feed-forward": _pressing_kind("the QP without force feedback", gains=_open_loop_gains),
     "qp-cone": _pressing_kind(
         "the QP with limits on what the contact carries", gains=_cone_gains, limits=_contact_limits
@@ -204,7 +205,7 @@ KINDS: dict[str, Kind] = {
     "impedance": Kind(
         words="a spring to a place behind the believed board, where it gives the set force",
         tasks=_springy,
-        follow=lambda job, setting: PushBehind(job, setting["stiffness_normal"]),
+        follow=lambda job, setting: PushBehind(job, setting["spring_normal"]),
         gains=_spring_gains,
         presses=False,
     ),

@@ -6,12 +6,12 @@ import polars as pl
 
 from qpctrl.arrays import Matrix, Vector
 from qpctrl.robot import Robot
-from scenarios.metric import column, tick_metrics
+from scenarios.metric import column
 from scenarios.record import WRENCH
-from scenarios.study.outcome import FORCE_MEASURES, TICK_MEASURES, force_measures
+from scenarios.study.outcome import FORCE_MEASURES, TICK_MEASURES, force_measures, tick_measures
 from scenarios.study.system import Measures, Setting
 from scenarios.study.systems.compared import compared, compared_words
-from scenarios.study.systems.rows_forms import (
+from scenarios.study.systems.rows.forms import (
     DT,
     PRESS,
     at_rest,
@@ -31,11 +31,14 @@ MEASURES = {
     **compared_words("offset_mm", "offset along the plane at the end, at rest"),
     **compared_words(
         "growth_1_s",
-        "rate of that moment at the end over what it is without feeding itself",
-        "(1 − exp(−2π cutoff dt)) / dt",
+        "rate of the moment that tips the tool about y, at the end, over that moment where nothing "
+        "is fed forward",
+        "closed form, (1 − exp(−2π cutoff dt)) / dt",
     ),
-    **compared_words("drift_mm", "way along a free direction that is believed held"),
-    **compared_words("drift_speed_m_s", "speed there, at the end"),
+    **compared_words("drift_mm", "way along a free direction that is believed held, at the end"),
+    **compared_words(
+        "drift_speed_m_s", "speed along a free direction that is believed held, at the end"
+    ),
     "pressure_mm": "way of the centre of pressure off the tool's axis, at the end",
     **FORCE_MEASURES,
     **TICK_MEASURES,
@@ -50,16 +53,12 @@ def rows_measures(
     F = np.stack([column(table, f"wrench.{axis}") for axis in WRENCH], axis=1)
     q = np.array([table[f"q.{name}"][-1] for name in robot.joint_names])
     X_EF = X_WE.actInv(robot.pose(q, frame))
-    ticks = tick_metrics(table)
-    gap = ticks["qp_law_gap_max"]
     return {
         **_held(robot, frame, q, X_EF, F, setting),
         **_drifted(robot, frame, X_EF, table, setting),
         "pressure_mm": 1e3 * float(np.linalg.norm(F[-1, 3:5]) / F[-1, 2]),
         **force_measures(F[round(PRESS / DT) :, 2], setting["force"]),
-        "saturated_fraction": ticks["saturated_fraction"],
-        "fallback_ticks": ticks["fallback_ticks"],
-        "qp_law_gap_max": None if np.isnan(gap) else gap,
+        **tick_measures(table),
     }
 
 

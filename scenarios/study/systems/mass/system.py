@@ -3,7 +3,7 @@
 The controller is the real one, with believed normal x. The wall is an exact rigid plane or a
 spring with a damper that pushes and never pulls, and it rubs; it is turned against what the
 controller believes by a signed tilt: a mass that moves along +y sees the wall recede if the tilt
-is positive. Closed forms: `scenarios.study.systems.mass_forms`.
+is positive. Closed forms: `scenarios.study.systems.mass.forms`.
 """
 
 import functools
@@ -28,26 +28,26 @@ from scenarios.force_sensor import ForceSensor, SensedPlant
 from scenarios.model_error import ModelError
 from scenarios.plant import Plant, PlantState
 from scenarios.plant_compliant import CompliantPlant
-from scenarios.plant_rigid import SLIP_SPEED, RigidPlant
+from scenarios.plant_rigid import RigidPlant
 from scenarios.runge_kutta import FINE
 from scenarios.scenario import Directive, Experiment, Options
 from scenarios.study.parameter import Parameter, choice
 from scenarios.study.system import DivergedError, Rollout, Setting
-from scenarios.study.systems.mass_forms import (
+from scenarios.study.systems.law import LAW_WORDS, LAWS, force_gains
+from scenarios.study.systems.mass.forms import (
     COMPLIANT,
     GRAVITY,
     K_D,
     K_P,
     MASS,
     lost_tilt,
+    slip_speed,
     stability_limit,
     true_axes,
 )
-from scenarios.study.systems.mass_measures import MEASURES, measure
+from scenarios.study.systems.mass.measure import MEASURES, mass_measures
 from scenarios.study.systems.trial import run_trial
 from tasks import ForceReference, ForceTask, MotionReference, MotionTask
-
-CONTROLLERS: dict[str, Law] = {"qp": "qp", "hybrid": "hybrid", "textbook": "textbook"}
 
 MODE = "press"
 RUNAWAY = 1e4  # times the set-point, where a run ends
@@ -77,12 +77,7 @@ class Pressing(NamedTuple):
         force = ForceReference(
             F_ref=np.array([setting["force"], 0.0]),
             F_meas=state.wrench_meas[:2],
-            gains={
-                "K_fp": np.full(2, setting["k_fp"]),
-                "K_fi": np.full(2, setting["k_fi"]),
-                "damping": np.array(setting["damping"]),
-                "cutoff": np.array(setting["cutoff"]),
-            },
+            gains=force_gains(setting, 2),
         )
         phase = "hold" if setting["speed"] == 0 else "slide"
         return Directive(phase, MODE, {"motion": motion, "force": force})
@@ -98,15 +93,15 @@ class MassOnWall:
         "wall": choice("what the mass presses on", "rigid", "compliant"),
         "tilt": Parameter("deg", 0.0, -45.0, 45.0, "tilt of the wall against the believed one"),
         "friction": Parameter("1", 0.0, 0.0, 1.0, "Coulomb friction of the wall"),
-        "stiffness": Parameter("N_m", 1e4, 1e2, 1e7, "of the compliant wall"),
-        "wall_damping": Parameter("Ns_m", 50.0, 0.0, 1e4, "of the compliant wall"),
-        "offset": Parameter("m", 0.0, -0.02, 0.02, "of the compliant wall, away from the mass"),
+        "stiffness": Parameter("N_m", 1e4, 1e2, 1e7, "stiffness of the compliant wall"),
+        "wall_damping": Parameter("Ns_m", 50.0, 0.0, 1e4, "damping of the compliant wall"),
+        "offset": Parameter("m", 0.0, -0.02, 0.02, "compliant wall behind its believed place"),
         "pressed": Parameter("1", 1.0, 0.0, 2.0, "force over set-point at which a run starts"),
         "mass_error": Parameter("1", 0.0, -0.9, 10.0, "relative error of the mass"),
         "gravity_error": Parameter("1", 0.0, -2.0, 2.0, "relative error of gravity"),
         "force": Parameter("N", 20.0, 0.01, 100.0, "set-point along the believed normal"),
         "speed": Parameter("m_s", 0.0, -20.0, 20.0, "speed along the believed wall; 0: holds"),
-        "acceleration": Parameter("m_s2", 5.0, 1e-3, 100.0, "of its start"),
+        "acceleration": Parameter("m_s2", 5.0, 1e-3, 100.0, "acceleration up to the speed"),
         "k_fp": Parameter("1", 0.0, 0.0, 1e3, "proportional force gain"),
         "k_fi": Parameter("1_s", 0.0, 0.0, 1e5, "integral force gain"),
         "damping": Parameter("1_s", 0.0, 0.0, 1e3, "velocity damping of the force directions"),
@@ -115,19 +110,19 @@ class MassOnWall:
         ),
         "delay": Parameter("ticks", 1.0, 1.0, 100.0, "age of the force reading", whole=True),
         "sensor_gain": Parameter("1", 1.0, 0.1, 10.0, "force read per true force"),
-        "sensor_bias": Parameter("N", 0.0, -50.0, 50.0, "of the force read along x"),
+        "sensor_bias": Parameter(
+            "N", 0.0, -50.0, 50.0, "constant error of the force read, along x"
+        ),
         "sensor_noise": Parameter("N", 0.0, 0.0, 10.0, "standard deviation of the force read"),
         "sensor_cutoff": Parameter("Hz", 0.0, 0.0, 5e3, "low-pass of the force read; 0: none"),
         "torque_gain": Parameter("1", 1.0, 0.1, 10.0, "force delivered per force asked for"),
-        "torque_bias": Parameter("N", 0.0, -50.0, 50.0, "force delivered beyond that, along x"),
+        "torque_bias": Parameter(
+            "N", 0.0, -50.0, 50.0, "constant error of the force delivered, along x"
+        ),
         "rate": Parameter("Hz", 1e3, 100.0, 1e4, "rate of control", whole=True),
         "duration": Parameter("s", 1.0, 0.1, 20.0, "length of a run, judged in its second half"),
     }
-    controllers: ClassVar[Mapping[str, str]] = {
-        "qp": "the QP",
-        "hybrid": "the closed form that the QP equals",
-        "textbook": "the closed form as printed",
-    }
+    controllers: ClassVar[Mapping[str, str]] = LAW_WORDS
     measures: ClassVar[Mapping[str, str]] = MEASURES
 
     def run(self, setting: Setting, controller: str, seed: int, *, full: bool = False) -> Rollout:
@@ -135,7 +130,7 @@ class MassOnWall:
         robot = _robot()
         experiment = Experiment(
             robot=robot,
-            controller=_controller(CONTROLLERS[controller], setting["rate"]),
+            controller=_controller(LAWS[controller], setting["rate"]),
             plant=_plant(robot, setting, seed),
             guide=Pressing(setting),
             start_mode=MODE,
@@ -147,7 +142,7 @@ class MassOnWall:
         if len(table) < round(setting["duration"] * setting["rate"]):
             end = len(table) / setting["rate"]
             raise DivergedError(f"force above {RUNAWAY:g} × set-point at {end:.3f} s", table)
-        return Rollout(measure(table, setting), table)
+        return Rollout(mass_measures(table, setting), table)
 
     def limit(self, setting: Setting, controller: str, parameter: str) -> float | None:
         """Return the tilt at which contact is lost, or the gain or stiffness that is critical."""
@@ -179,7 +174,7 @@ def _plant(robot: Robot, setting: Setting, seed: int) -> Plant:
     n, t = true_axes(setting)
     dt, mu = 1 / setting["rate"], setting["friction"]
     error = ModelError(mass=setting["mass_error"], gravity=setting["gravity_error"])
-    slip = max(SLIP_SPEED, mu * setting["force"] * dt / MASS)
+    slip = slip_speed(setting)
     plant: Plant
     if setting["wall"] == COMPLIANT:
         R_WE = np.array([[0, t[0], n[0]], [0, t[1], n[1]], [-1, 0, 0]])

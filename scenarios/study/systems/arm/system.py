@@ -3,7 +3,7 @@
 A point of the tool (k = 1) is held by an exact rigid plane, or a ball touches a MuJoCo board. The
 controller believes in a plane that is turned against the true one by a signed angle about its x
 axis; it presses along the believed normal, holds still, then slides along the believed y axis.
-Closed forms: `scenarios.study.systems.arm_measures`.
+Closed forms: `scenarios.study.systems.arm.forms`.
 """
 
 from collections.abc import Mapping
@@ -18,11 +18,10 @@ from scenarios.plant import PlantState
 from scenarios.scenario import Directive, Experiment
 from scenarios.study.parameter import Parameter, choice
 from scenarios.study.system import Rollout, Setting
-from scenarios.study.systems.arm_measures import MEASURES, arm_measures
-from scenarios.study.systems.arm_scene import (
+from scenarios.study.systems.arm.measure import MEASURES, arm_measures
+from scenarios.study.systems.arm.scene import (
     DIRECTIONS,
     DT,
-    LAWS,
     MODE,
     PLANTS,
     RISE,
@@ -31,6 +30,7 @@ from scenarios.study.systems.arm_scene import (
     controller_of,
     plant_of,
 )
+from scenarios.study.systems.law import LAW_WORDS, LAWS, force_gains
 from scenarios.study.systems.trial import run_trial
 from tasks import ForceReference, MotionReference
 
@@ -58,13 +58,7 @@ class Sliding(NamedTuple):
         force = ForceReference(
             F_ref=setting["force"] * np.eye(6)[2],
             F_meas=state.wrench_meas,
-            gains={
-                "K_fp": np.full(6, setting["k_fp"]),
-                "K_fi": np.full(6, setting["k_fi"]),
-                "damping": np.array(setting["damping"]),
-                "cutoff": np.array(setting["cutoff"]),
-                "ramp": np.full(6, setting["force"] / RISE),
-            },
+            gains=force_gains(setting, ramp=setting["force"] / RISE),
         )
         phase = "hold" if t < -DT / 2 else "slide"
         return Directive(phase, MODE, {"motion": motion, "force": force})
@@ -82,7 +76,7 @@ class ArmOnPlane:
         "speed": Parameter("m_s", 0.1, 1e-3, 2.0, "speed along the believed plane"),
         "direction": choice("way along the believed y axis", "forward", "backward"),
         "friction": Parameter("1", 0.0, 0.0, 1.0, "Coulomb friction of the plane"),
-        "bias": Parameter(
+        "sensor_bias": Parameter(
             "N", 0.0, -50.0, 50.0, "constant error of the force read, along the tool"
         ),
         "k_fp": Parameter("1", 0.5, 0.0, 0.99, "proportional force gain"),
@@ -99,11 +93,7 @@ class ArmOnPlane:
         "slide": Parameter("s", 0.6, 0.6, 10.0, "time in motion"),
         "robot": choice("the arm", *ROBOTS),
     }
-    controllers: ClassVar[Mapping[str, str]] = {
-        "qp": "the QP",
-        "hybrid": "the closed form that the QP equals",
-        "textbook": "the closed form as printed",
-    }
+    controllers: ClassVar[Mapping[str, str]] = LAW_WORDS
     measures: ClassVar[Mapping[str, str]] = MEASURES
 
     def run(self, setting: Setting, controller: str, seed: int, *, full: bool = False) -> Rollout:

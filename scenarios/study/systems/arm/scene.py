@@ -23,8 +23,6 @@ from scenarios.study.system import Setting
 from scenarios.world import BALL_RADIUS, TOOL, Pad, World, build_world
 from tasks import ForceTask, MotionTask, PostureTask
 
-LAWS: dict[str, Law] = {"qp": "qp", "hybrid": "hybrid", "textbook": "textbook"}
-
 ROBOTS = ("fr3", "ur5")
 PLANTS = ("exact", "mujoco")
 DIRECTIONS = (1, -1)
@@ -99,5 +97,5 @@ def plant_of(held: Arm, setting: Setting) -> Plant:
     else:
         pad = Pad(friction=max(friction, NO_FRICTION), solref=(setting["contact_time"], 1.0))
         plant = MujocoPlant(held.world, frame=held.frame, board=plane, pad=pad)
-    bias = np.array([0.0, 0.0, setting["bias"], 0.0, 0.0, 0.0])
-    return SensedPlant(plant, ForceSensor(bias=bias)) if setting["bias"] else plant
+    bias = np.array([0.0, 0.0, setting["sensor_bias"], 0.0, 0.0, 0.0])
+    return SensedPlant(plant, ForceSensor(bias=bias)) if setting["sensor_bias"] else plant

@@ -24,6 +24,7 @@ from scipy.linalg import expm
 from scipy.optimize import brentq
 
 from qpctrl.arrays import Matrix, Vector
+from scenarios.plant_rigid import SLIP_SPEED
 from scenarios.study.system import Setting
 
 MASS = 2.0  # kg, as believed
@@ -42,13 +43,23 @@ def true_axes(setting: Setting) -> tuple[Vector, Vector]:
     return np.array([c, -s]), np.array([s, c])
 
 
+def slip_speed(setting: Setting) -> float:
+    """Return the speed [m/s] below which the friction of the wall is not all there."""
+    return max(SLIP_SPEED, setting["friction"] * setting["force"] / setting["rate"] / MASS)
+
+
 def steady_force(setting: Setting) -> float | None:
-    """Return λ [N] of a mass that rests, or slides at a constant speed; none where it jams.
+    """Return λ [N] of a mass that rests, or slides at a constant speed.
+
+    None where it jams, or where it rubs but is too slow for Coulomb's law.
 
     Args:
         setting: value of every parameter of the system.
     """
     alpha, sigma = np.radians(setting["tilt"]), np.sign(setting["speed"])
+    creeps = 0 < abs(setting["speed"]) < np.cos(alpha) * slip_speed(setting)
+    if creeps and setting["friction"] > 0:
+        return None
     carried = np.cos(alpha) + sigma * setting["friction"] * np.sin(alpha)
     F_x = _steady_push(setting, setting["speed"] * np.tan(alpha))
     return float(F_x / carried) if carried > JAMMED and F_x > 0 else None

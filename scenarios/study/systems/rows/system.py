@@ -3,7 +3,7 @@
 The tool is a flat face that an exact plane holds without friction (k = 3: depth and both tips).
 The controller believes in one row to four: a point, an edge, the face, or a face in a groove along
 y. It presses, asked to hold a pose that is turned about y against the plane, and pushes along x
-where it believes in the groove. Closed forms: `scenarios.study.systems.rows_forms`.
+where it believes in the groove. Closed forms: `scenarios.study.systems.rows.forms`.
 """
 
 import functools
@@ -11,7 +11,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
-import numpy as np
 import pinocchio as pin
 
 from qpctrl.constraint import (
@@ -33,12 +32,11 @@ from scenarios.robot_file import load_robot
 from scenarios.scenario import Directive, Experiment, Options
 from scenarios.study.parameter import Parameter, choice
 from scenarios.study.system import Rollout, Setting
-from scenarios.study.systems.rows_forms import DT, K_P, PRESS, asked, set_point
-from scenarios.study.systems.rows_measures import MEASURES, rows_measures
+from scenarios.study.systems.law import LAW_WORDS, LAWS, force_gains
+from scenarios.study.systems.rows.forms import DT, K_P, PRESS, asked, set_point
+from scenarios.study.systems.rows.measure import MEASURES, rows_measures
 from scenarios.study.systems.trial import run_trial
 from tasks import ForceReference, ForceTask, MotionReference, MotionTask, PostureTask
-
-CONTROLLERS: dict[str, Law] = {"qp": "qp", "hybrid": "hybrid", "textbook": "textbook"}
 
 ROBOTS = ("fr3", "ur5")
 FRAME, MODE = "flange", "press"
@@ -64,13 +62,7 @@ class Holding(NamedTuple):
         force = ForceReference(
             F_ref=set_point(setting) * [float(not pressing), 1, 1, 1, 1, 1],
             F_meas=state.wrench_meas,
-            gains={
-                "K_fp": np.full(6, setting["k_fp"]),
-                "K_fi": np.full(6, setting["k_fi"]),
-                "damping": np.array(setting["damping"]),
-                "cutoff": np.array(setting["cutoff"]),
-                "ramp": np.full(6, RAMP if pressing else STEP),
-            },
+            gains=force_gains(setting, ramp=RAMP if pressing else STEP),
         )
         motion = MotionReference(X_WD=self.X_WE * asked(setting))
         return Directive("press" if pressing else "hold", MODE, {"motion": motion, "force": force})
@@ -96,11 +88,7 @@ class FaceOnExactPlane:
         "duration": Parameter("s", 0.2, 0.1, 10.0, "length of a run, once pressed"),
         "robot": choice("the arm", *ROBOTS),
     }
-    controllers: ClassVar[Mapping[str, str]] = {
-        "qp": "the QP",
-        "hybrid": "the closed form that the QP equals",
-        "textbook": "the closed form as printed",
-    }
+    controllers: ClassVar[Mapping[str, str]] = LAW_WORDS
     measures: ClassVar[Mapping[str, str]] = MEASURES
 
     def run(self, setting: Setting, controller: str, seed: int, *, full: bool = False) -> Rollout:
@@ -110,7 +98,7 @@ class FaceOnExactPlane:
         X_WE = robot.pose(robot.home, FRAME)
         experiment = Experiment(
             robot=robot,
-            controller=_controller(name, CONTROLLERS[controller], rank_error),
+            controller=_controller(name, LAWS[controller], rank_error),
             plant=RigidPlant(robot, FaceOnPlane(space=SPACE, R_WE=X_WE.rotation), dt=DT),
             guide=Holding(X_WE, setting),
             start_mode=MODE,

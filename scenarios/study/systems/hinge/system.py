@@ -3,7 +3,7 @@
 The tool is grasped (k = 5) by an exact rigid door. At the start the door is closed and nothing is
 wrong yet; as it opens, the believed way of the handle and the true one part. The arm holds still,
 opens the door, and holds again; the force is set in the handle, away from the believed hinge.
-Closed forms: `scenarios.study.systems.hinge_forms`.
+Closed forms: `scenarios.study.systems.hinge.forms`.
 """
 
 import functools
@@ -29,12 +29,11 @@ from scenarios.scenario import Directive, Experiment, Options
 from scenarios.study.parameter import Parameter, choice
 from scenarios.study.system import Rollout, Setting
 from scenarios.study.systems.equilibrium import Loop
-from scenarios.study.systems.hinge_forms import Door, closed_door
-from scenarios.study.systems.hinge_measures import MEASURES, hinge_measures
+from scenarios.study.systems.hinge.forms import Door, closed_door
+from scenarios.study.systems.hinge.measure import MEASURES, hinge_measures
+from scenarios.study.systems.law import LAW_WORDS, LAWS, force_gains
 from scenarios.study.systems.trial import run_trial
 from tasks import ForceReference, ForceTask, MotionReference, MotionTask, PostureTask
-
-CONTROLLERS: dict[str, Law] = {"qp": "qp", "hybrid": "hybrid", "textbook": "textbook"}
 
 ROBOTS = ("fr3", "ur5")
 FRAME, MODE, HINGE, DT = "flange", "open", "hinge", 1e-3
@@ -69,13 +68,7 @@ class Opening(NamedTuple):
         force = ForceReference(
             F_ref=self.door.push(self.robot.pose(state.q, FRAME)),
             F_meas=state.wrench_meas,
-            gains={
-                "K_fp": np.full(6, setting["k_fp"]),
-                "K_fi": np.full(6, setting["k_fi"]),
-                "damping": np.array(setting["damping"]),
-                "cutoff": np.array(setting["cutoff"]),
-                "ramp": np.full(6, setting["force"] / RISE),
-            },
+            gains=force_gains(setting, ramp=setting["force"] / RISE),
         )
         path = TwistPath(X_W0=self.door.X_W0, xi_W=self.door.opening(self.door.X_WE))
         references: dict[str, MotionReference | ForceReference | BelievedHinge] = {
@@ -106,7 +99,7 @@ class HingedDoor:
         ),
         "radius": Parameter("m", 0.35, 0.15, 0.6, "believed distance from hinge to handle"),
         "angle": Parameter("deg", 30.0, 1e-3, 60.0, "angle by which the door is opened"),
-        "rate": Parameter("deg_s", 40.0, 0.1, 200.0, "speed of the door"),
+        "door_speed": Parameter("deg_s", 40.0, 0.1, 200.0, "speed at which the door is opened"),
         "force": Parameter("N", 8.0, 0.01, 200.0, "set-point, away from the believed hinge"),
         "k_fp": Parameter("1", 0.5, 0.0, 0.99, "proportional force gain"),
         "k_fi": Parameter("1_s", 100.0, 0.0, 1e4, "integral force gain"),
@@ -116,11 +109,7 @@ class HingedDoor:
         ),
         "robot": choice("the arm", *ROBOTS),
     }
-    controllers: ClassVar[Mapping[str, str]] = {
-        "qp": "the QP",
-        "hybrid": "the closed form that the QP equals",
-        "textbook": "the closed form as printed",
-    }
+    controllers: ClassVar[Mapping[str, str]] = LAW_WORDS
     measures: ClassVar[Mapping[str, str]] = MEASURES
 
     def run(self, setting: Setting, controller: str, seed: int, *, full: bool = False) -> Rollout:
@@ -128,11 +117,11 @@ class HingedDoor:
         name = ROBOTS[int(setting["robot"])]
         robot = _robot(name)
         door = closed_door(robot.pose(robot.home, FRAME), setting)
-        far, speed = np.radians([setting["angle"], setting["rate"]])
+        far, speed = np.radians([setting["angle"], setting["door_speed"]])
         guide = Opening(robot, door, ThereAndBack(far=float(far), speed=float(speed)), setting)
         experiment = Experiment(
             robot=robot,
-            controller=_controller(name, CONTROLLERS[controller]),
+            controller=_controller(name, LAWS[controller]),
             plant=RigidPlant(robot, Hinge(space=TaskSpace(FRAME), X_WE=door.X_WE_true), dt=DT),
             guide=guide,
             start_mode=MODE,

@@ -18,10 +18,10 @@ from scenarios.scenario import Experiment
 from scenarios.study.parameter import Parameter, choice
 from scenarios.study.system import Rollout, Setting
 from scenarios.study.systems.trial import run_trial
-from scenarios.study.systems.wipe_controller import KINDS, MODE, SOLVERS, controller, guide
-from scenarios.study.systems.wipe_guide import PRESS_TIME, Job, circles
-from scenarios.study.systems.wipe_measure import MEASURES, Seen, wipe_measures
-from scenarios.study.systems.wipe_world import ACTUATORS, STEP, TIPS, Scene, scene
+from scenarios.study.systems.wipe.controller import KINDS, MODE, SOLVERS, controller, guide
+from scenarios.study.systems.wipe.guide import PRESS_TIME, Job, circles
+from scenarios.study.systems.wipe.measure import MEASURES, Seen, wipe_measures
+from scenarios.study.systems.wipe.world import ACTUATORS, STEP, TIPS, Scene, scene
 
 JOB = {
     "force": Parameter("N", 10.0, 0.1, 500.0, "set-point along the believed normal"),
@@ -37,7 +37,7 @@ BOARD = {
     "offset": Parameter("m", 0.0, -0.05, 0.05, "board behind its believed place, along its normal"),
     "friction": Parameter("1", 0.3, 0.0, 2.0, "Coulomb friction of tool and board"),
     "friction_model": Parameter(
-        "1", 0.3, 0.0, 2.0, "the same as a controller with a cone knows it"
+        "1", 0.3, 0.0, 2.0, "Coulomb friction as a controller with a cone knows it"
     ),
     "pad_time": Parameter("s", 0.01, 0.002, 0.1, "time constant of the contact; short is stiff"),
     "pad_damping": Parameter("1", 1.0, 0.05, 5.0, "damping ratio of the contact"),
@@ -48,7 +48,7 @@ ARM = {
     "gravity_error": Parameter("1", 0.0, -1.0, 1.0, "relative error of gravity"),
     "payload": Parameter("kg", 0.0, 0.0, 10.0, "point mass at the tool that nobody knows of"),
     "torque_gain": Parameter("1", 1.0, 0.0, 3.0, "torque delivered per torque asked for"),
-    "torque_spread": Parameter("1", 0.0, 0.0, 1.0, "half range of that gain over the joints"),
+    "torque_spread": Parameter("1", 0.0, 0.0, 1.0, "half range of the torque gain over the joints"),
     "torque_bias": Parameter("Nm", 0.0, 0.0, 50.0, "half range of a constant torque in each joint"),
     "torque_delay": Parameter("ticks", 0.0, 0.0, 50.0, "age of the torque", whole=True),
     "joint_friction": Parameter("Nm", 0.0, 0.0, 50.0, "static and Coulomb friction of each joint"),
@@ -79,9 +79,9 @@ CONTROL = {
     ),
     "motion_weight": Parameter("1", 1.0, 1e-6, 1e6, "weight of the motion in the QP"),
     "force_weight": Parameter("1", 1.0, 1e-6, 1e6, "weight of the force in the QP"),
-    "stiffness": Parameter("N_m", 3000.0, 0.0, 1e5, "impedance: stiffness along the board"),
-    "stiffness_normal": Parameter("N_m", 500.0, 1.0, 1e5, "impedance: stiffness into the board"),
-    "stiffness_rot": Parameter("Nm_rad", 100.0, 0.0, 1e4, "impedance: stiffness of rotation"),
+    "spring": Parameter("N_m", 3000.0, 0.0, 1e5, "impedance: stiffness along the board"),
+    "spring_normal": Parameter("N_m", 500.0, 1.0, 1e5, "impedance: stiffness into the board"),
+    "spring_rot": Parameter("Nm_rad", 100.0, 0.0, 1e4, "impedance: stiffness of rotation"),
     "yield_damping": Parameter("Ns_m", 500.0, 1.0, 1e6, "admittance: force error per speed"),
     "yield_cutoff": Parameter("Hz", 30.0, 0.1, 500.0, "admittance: low-pass of the reading"),
     "solver": choice("what solves the QP", *SOLVERS),
@@ -101,7 +101,7 @@ class Wipe:
     measures: ClassVar[Mapping[str, str]] = MEASURES
 
     def run(self, setting: Setting, controller: str, seed: int, *, full: bool = False) -> Rollout:
-        """Return the measures of one rollout, taken from ``judged_from`` on.
+        """Return the measures of one rollout: errors from ``judged_from`` on, contact once pressed.
 
         Raises:
             InputError: nothing is left to judge.
