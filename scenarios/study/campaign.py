@@ -27,7 +27,7 @@ from scenarios.study.store import (
 from scenarios.study.summary import conclude
 
 LARGEST_CHUNK = 64
-CHUNKS_FOR_EACH = 8  # worker, so that all of them end at about the same time
+CHUNKS_FOR_EACH = 32  # worker, so that all of them end at about the same time
 
 
 class Campaign(NamedTuple):

@@ -20,6 +20,11 @@ FEWEST = 20
 TOLD = 2
 """Measures that a verdict tells, the first of those that are shown; tables have them all."""
 
+ALIKE = "not distinguishable from"
+
+MOST_NAMES = 3
+"""Controllers that a verdict names, where it compares one with others."""
+
 COSTS = {
     *("mae", "rmse", "rms", "p95", "peak", "spread", "error", "accuracy", "repeatability"),
     *("settling", "lost", "loss", "breaks", "saturated", "fallback"),
@@ -95,10 +100,10 @@ def _compared(
         if place in (1, of):
             return f"{best if place == 1 else worst} of {of}"
         return f"{ORDINALS.get(place, f'{place}th')} of {of}"
-    behind = f", more than {_and(better)}" if better else ""
+    behind = f", more than {_few(better)}" if better else ""
     if not summary["sampled"]:
         return behind.removeprefix(", ")
-    return f"not distinguishable from {_and(alike)}{behind}"
+    return f"{ALIKE} {_few(alike)}{behind}"
 
 
 def measure_text(summary: Mapping[str, Any], measure: str, one: Mapping[str, float]) -> str:
@@ -162,7 +167,8 @@ def _outcomes(summary: Mapping[str, Any], name: str) -> list[str]:
         found = [f"keeps contact in all {rows} rollouts" if rows > 1 else "keeps contact"]
     else:
         found = [f"none of {rows} {kind} failed" if rows > 1 else "did not fail"]
-    found[0] += f", {standing}" if standing else ""
+    if standing and (bad or not standing.startswith(ALIKE)):
+        found[0] += f", {standing}"
     if worse := {words: counts[kind] for kind, words in WORSE.items() if counts[kind]}:
         found.append(", ".join(f"{words} in {count}" for words, count in worse.items()))
     return found
@@ -210,6 +216,11 @@ def _told(summary: Mapping[str, Any]) -> Sequence[str]:
 
 def _listed(counts: Mapping[str, int]) -> str:
     return _and([f"{words} in {count}" for words, count in counts.items()])
+
+
+def _few(names: Sequence[str]) -> str:
+    """Return names, or how many there are where they would fill a line."""
+    return _and(names) if len(names) <= MOST_NAMES else f"{len(names)} others"
 
 
 def _and(names: Sequence[str]) -> str:
