@@ -42,7 +42,7 @@ ENVIRONMENT = {
     "DASK_DISTRIBUTED__WORKER__MULTIPROCESSING_METHOD": "forkserver",
     **dict.fromkeys(scheduler.PINNED, "1"),
 }
-ROWS, CHUNK = 320, 2
+ROWS, REPEATS, CHUNK = 320, 10, 2
 KILLS = 10
 PAUSE = 0.01  # s, of each rollout
 PATIENCE = 60.0  # s
@@ -87,7 +87,8 @@ def fill(machine: Machine, folder: Path) -> None:
         system=Squares(),
         controllers=("qp",),
         factors=(Factor("x", "1", -1.0, 1.0),),
-        design=Design(kind="levels", size=ROWS),
+        design=Design(kind="levels", size=ROWS // REPEATS),
+        repeats=REPEATS,
     )
     plan = Plan(study, 0)
     with open_store(folder, plan, resume=True) as store:
@@ -131,9 +132,9 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> pl.DataFrame:
     table = rows_of(folder)
     assert len(table) == ROWS
     assert table["square"].sort().to_numpy() == pytest.approx(
-        np.sort(np.linspace(-1, 1, ROWS) ** 2)
+        np.repeat(np.sort(np.linspace(-1, 1, ROWS // REPEATS) ** 2), REPEATS)
     )
-    assert table["noise"].n_unique() == ROWS
+    assert table["noise"].n_unique() == REPEATS  # common to all levels
     return table
 
 

@@ -128,15 +128,10 @@ def _centre(factor: Factor, usual: float) -> float:
 def _sobol(count: int, size: int, seed: int) -> Matrix:
     """Return scrambled Sobol points (size × count) in the unit cube."""
     if size & (size - 1):
-        raise InputError(f"Sobol size: got {size}, need a power of two; nearest {_nearest(size)}")
+        nearest = sensitivity.nearest_power_of_two(size)
+        raise InputError(f"Sobol size: got {size}, need a power of two; nearest {nearest}")
     return qmc.Sobol(d=count, scramble=True, rng=np.random.default_rng(seed)).random(size)
 
 
 def _morris(count: int, size: int, seed: int) -> Matrix:
     return sensitivity.morris(count, size, MORRIS_LEVELS, seed)
-
-
-def _nearest(size: int) -> int:
-    """Return the power of two nearest to ``size``; the smaller of two as near."""
-    below: int = 1 << (size.bit_length() - 1)
-    return below if size - below <= 2 * below - size else 2 * below

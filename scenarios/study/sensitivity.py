@@ -89,7 +89,7 @@ def saltelli(count: int, size: int, seed: int) -> Matrix:
     if size < FEWEST_BLOCKS or size & (size - 1):
         raise InputError(
             f"Sobol size: got {size}, need a power of two of at least {FEWEST_BLOCKS}; "
-            f"nearest {_nearest(size)}"
+            f"nearest {nearest_power_of_two(size, FEWEST_BLOCKS)}"
         )
     problem, sampler = _problem(count), _salib("sobol")
     return np.asarray(sampler.sample(problem, size, calc_second_order=False, seed=seed))
@@ -266,9 +266,10 @@ def _check_design(count: int, seed: int) -> None:
         raise InputError(f"seed: got {seed}, need a number >= 0")
 
 
-def _nearest(size: int) -> int:
-    below = 1 << max(size.bit_length() - 1, 0)
-    return max(FEWEST_BLOCKS, below if size - below <= 2 * below - size else 2 * below)
+def nearest_power_of_two(size: int, least: int = 2) -> int:
+    """Return the power of two nearest to ``size``, at least ``least``; of two the smaller."""
+    below: int = 1 << max(size.bit_length() - 1, 0)
+    return max(least, below if size - below <= 2 * below - size else 2 * below)
 
 
 def _problem(count: int) -> dict[str, object]:
