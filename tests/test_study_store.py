@@ -18,6 +18,7 @@ import pytest
 from scripted import Scripted, diverge, scripted
 
 from qpctrl import InputError
+from scenarios.study import campaign
 from scenarios.study import plan as plan_module
 from scenarios.study.campaign import run_study, status
 from scenarios.study.design import Design
@@ -44,6 +45,12 @@ def calls(plan: Plan) -> list[float]:
 def squares(size: int = ROWS, seed: int = 0) -> Plan:
     """Return a plan that is done in no time."""
     return Plan(scripted(design=Design(size=size), criteria=(POSITIVE,)), seed)
+
+
+@pytest.fixture(autouse=True)
+def few_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Make eight chunks for each worker, five rows each."""
+    monkeypatch.setattr(campaign, "CHUNKS_FOR_EACH", 8)
 
 
 @pytest.fixture
