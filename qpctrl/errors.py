@@ -22,3 +22,8 @@ def unknown_name(kind: str, got: str, allowed: Iterable[str]) -> InputError:
     near = difflib.get_close_matches(got, names, n=1, cutoff=0.0)
     hint = f"; did you mean {near[0]!r}?" if near else ""
     return InputError(f"unknown {kind} {got!r}; allowed: {', '.join(names)}{hint}")
+
+
+def reason_of(error: Exception) -> str:
+    """Return in one line why a file could not be used: what the system says, else the error."""
+    return getattr(error, "strerror", None) or " ".join(str(error).split())

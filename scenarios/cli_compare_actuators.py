@@ -30,7 +30,7 @@ from scenarios.catalogue import SCENARIOS
 from scenarios.command import interactive, merged, parse
 from scenarios.console import console
 from scenarios.joint_level import Actuator
-from scenarios.run import versions, writable_folder
+from scenarios.run import plain, versions, writable_folder
 from scenarios.scenario import Options
 
 WITH_FORCE = (
@@ -128,7 +128,7 @@ def summarise(comparison: Comparison) -> dict[str, Any]:
         "scenario": scenario.name,
         "passed": comparison.passed,
         "criteria": [
-            {**c._asdict(), "value": _known(c.value), "passed": c.passed}
+            {**c._asdict(), "value": plain(c.value), "passed": c.passed}
             for c in comparison.criteria
         ],
         "phase": comparison.phase,
@@ -142,23 +142,19 @@ def summarise(comparison: Comparison) -> dict[str, Any]:
 
 def _actuator(comparison: Comparison, name: Actuator) -> dict[str, Any]:
     row, study = comparison.rows[name], comparison.studies.get(name)
-    found: dict[str, Any] = {key: _known(getattr(row, field)) for field, key in METRICS.items()}
+    found: dict[str, Any] = {key: plain(getattr(row, field)) for field, key in METRICS.items()}
     if study is None:
         return found
     return found | {
         "reason": study.sentence(),
         "cause": study.cause,
         "study": {
-            "force_rmse_N": _known(study.whole),
-            "ideal_force_rmse_N": _known(study.ideal),
-            "without": {key: _known(value) for key, value in study.without.items()},
-            "without_all": None if study.together is None else _known(study.together),
+            "force_rmse_N": plain(study.whole),
+            "ideal_force_rmse_N": plain(study.ideal),
+            "without": {key: plain(value) for key, value in study.without.items()},
+            "without_all": None if study.together is None else plain(study.together),
         },
     }
-
-
-def _known(value: float) -> float | None:
-    return value if math.isfinite(value) else None
 
 
 def _scenario_name(arguments: list[str]) -> str:

@@ -15,6 +15,7 @@ from scenarios.console import console
 from scenarios.scenario import Criterion
 from scenarios.study.campaign import Campaign
 from scenarios.study.importance import ranking
+from scenarios.study.outcome import counts_text
 from scenarios.study.page_published import deviating, quoted
 from scenarios.study.study import Study
 from scenarios.study.verdict import verdicts
@@ -71,7 +72,7 @@ def print_conclusion(
     done, rows = summary["rows_done"], summary["rows"]
     verdict = "[green]PASSED[/]" if summary["passed"] else "[red]FAILED[/]"
     verdict = verdict if done == rows else "[yellow]UNFINISHED[/]"
-    counts = ", ".join(f"{count} {kind}" for kind, count in summary["outcomes"].items() if count)
+    counts = counts_text(summary["outcomes"])
     count = f"{rows} rows" if done == rows else f"{done} of {rows} rows"
     out.print(f"[bold]study {escape(study.name)}[/], {count} ({counts}) {verdict}")
     for part in paragraphs(study.notes):

@@ -8,6 +8,7 @@ from rich.console import Console
 
 from scenarios.command import interactive
 from scenarios.study.campaign import Progress
+from scenarios.study.outcome import counts_text
 
 
 @contextlib.contextmanager
@@ -41,5 +42,5 @@ def study_progress(name: str) -> Iterator[Callable[[Progress], None] | None]:
 
 def outcomes_text(found: Progress) -> str:
     """Return the rows by class of outcome, in brackets; nothing if there are none."""
-    said = ", ".join(f"{count} {kind}" for kind, count in sorted(found.outcomes.items()))
+    said = counts_text(dict(sorted(found.outcomes.items())))
     return f" ({said})" if said else ""

@@ -14,7 +14,7 @@ from typing import Any
 
 from polars.exceptions import PolarsError
 
-from qpctrl.errors import InputError
+from qpctrl.errors import InputError, reason_of
 from scenarios.record import write_parquet
 from scenarios.report import render_report
 from scenarios.scenario import Options, Outcome, Scenario
@@ -87,7 +87,7 @@ def writable_folder(path: Path) -> Path:
         with tempfile.TemporaryFile(dir=path):
             pass
     except (OSError, ValueError) as error:  # ValueError: a name that no file system takes
-        raise InputError(f"output folder {str(path)!r}: {_reason(error)}") from error
+        raise InputError(f"output folder {str(path)!r}: {reason_of(error)}") from error
     for name in FILES:
         if (path / name).is_dir():
             raise InputError(f"output folder {str(path)!r}: {name} is a folder there")
@@ -114,11 +114,7 @@ def write_outcome(scenario: Scenario, outcome: Outcome, folder: Path) -> None:
         finally:
             shutil.rmtree(staging, ignore_errors=True)
     except (OSError, PolarsError) as error:
-        raise InputError(f"output folder {str(folder)!r}: {_reason(error)}") from error
-
-
-def _reason(error: Exception) -> str:
-    return getattr(error, "strerror", None) or " ".join(str(error).split())
+        raise InputError(f"output folder {str(folder)!r}: {reason_of(error)}") from error
 
 
 def plain(value: Any) -> Any:

@@ -31,7 +31,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-from qpctrl.errors import InputError, unknown_name
+from qpctrl.errors import InputError, reason_of, unknown_name
 from scenarios.study.machine import Machine
 from scenarios.study.scheduler import (
     ANSWER,
@@ -207,7 +207,7 @@ def _read(path: Path) -> dict[str, Any]:
     try:
         found = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or " ".join(str(error).split())
+        reason = reason_of(error)
         raise InputError(f"file {str(path)!r} cannot be read: {reason}") from error
     for name in found:
         if name not in FIELDS:

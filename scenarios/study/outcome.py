@@ -1,5 +1,6 @@
 """What became of a rollout: one class, and the statistics of force that it hangs on."""
 
+from collections.abc import Mapping
 from enum import StrEnum
 
 import numpy as np
@@ -97,6 +98,11 @@ def tick_measures(table: pl.DataFrame) -> Measures:
     """Return what the ticks of a ``table`` say; no gap where every tick is saturated."""
     found = tick_metrics(table)
     return {name: None if np.isnan(found[name]) else found[name] for name in TICK_MEASURES}
+
+
+def counts_text(outcomes: Mapping[str, int]) -> str:
+    """Return how many rollouts ended in which class, in words; classes without any are left out."""
+    return ", ".join(f"{count} {kind}" for kind, count in outcomes.items() if count)
 
 
 def classify(measures: Measures) -> OutcomeClass:

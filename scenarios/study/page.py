@@ -10,6 +10,7 @@ from scenarios import report_page as house
 from scenarios.panel import Panel
 from scenarios.report_style import MUTED
 from scenarios.scenario import Criterion
+from scenarios.study.outcome import counts_text
 from scenarios.study.page_published import published_section
 from scenarios.study.page_table import (
     controller_section,
@@ -57,7 +58,7 @@ def render_study(
 
 def _header(study: Study, criteria: Sequence[Criterion], summary: Mapping[str, Any]) -> str:
     done, rows = summary["rows_done"], summary["rows"]
-    counts = ", ".join(f"{count} {kind}" for kind, count in summary["outcomes"].items() if count)
+    counts = counts_text(summary["outcomes"])
     kind = "rollouts" if study.search is None else "searches"
     said = f": {counts}" if counts and study.search is None else ""
     words = f"{study.summary[:1].upper()}{study.summary[1:]}. {done} {kind}{said}. "

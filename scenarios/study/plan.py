@@ -1,5 +1,6 @@
 """The plan of a study: every rollout it consists of, each with its identity."""
 
+import functools
 import hashlib
 import json
 from collections.abc import Iterator
@@ -107,6 +108,12 @@ def code_version() -> dict[str, str]:
                 seen.update(f"{package.__name__}/{path.relative_to(root).as_posix()}\0".encode())
                 seen.update(hashlib.sha256(path.read_bytes()).digest())
     return {"source": seen.hexdigest()[:16], **versions(), "scipy": metadata.version("scipy")}
+
+
+@functools.cache
+def loaded_code() -> dict[str, str]:
+    """Return the versions that results depend on, as this process has loaded them."""
+    return code_version()
 
 
 def _design_versions(study: Study) -> dict[str, str]:

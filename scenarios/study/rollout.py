@@ -1,6 +1,5 @@
 """One rollout of a study: its row in the table, whatever happens on the way."""
 
-import functools
 import io
 import math
 import time
@@ -12,7 +11,7 @@ import polars as pl
 
 from qpctrl.errors import InputError, QpctrlError
 from scenarios.study.outcome import FAILURES, OutcomeClass, classify
-from scenarios.study.plan import Task, code_version
+from scenarios.study.plan import Task, loaded_code
 from scenarios.study.search import Boundary, Place, Trial, Worst
 from scenarios.study.study import Study
 from scenarios.study.system import DivergedError, Measures, Setting
@@ -100,7 +99,7 @@ def roll_out_all(study: Study, tracing: Tracing, source: str, chunk: Sequence[Ta
         InputError: this process has another version of the code, or a setting cannot be run.
         RolloutError: a fault of the program.
     """
-    if (own := _source()) != source:
+    if (own := loaded_code()["source"]) != source:
         raise InputError(
             f"the code changed since the study began: it is {own} here and was {source}; start "
             "again with another --out"
@@ -161,11 +160,6 @@ def _where(task: Task) -> str:
 
 def _said(error: Exception) -> str:
     return f"{type(error).__name__}: {' '.join(str(error).split())}"
-
-
-@functools.cache
-def _source() -> str:
-    return code_version()["source"]
 
 
 def _trace(study: Study, setting: Setting, task: Task) -> bytes:

@@ -7,7 +7,6 @@ for each core: ``dask worker ADDRESS --nworkers 8 --nthreads 1``.
 
 import asyncio
 import contextlib
-import functools
 import importlib
 import logging
 import math
@@ -187,12 +186,10 @@ def work_on(packed: bytes, code: dict[str, str]) -> Any:
 _one_at_a_time = threading.Lock()
 
 
-@functools.cache
 def _code() -> dict[str, str]:
-    """Return the versions that results depend on, as this process has loaded them."""
-    from scenarios.study.plan import code_version
+    from scenarios.study.plan import loaded_code
 
-    return code_version()
+    return loaded_code()
 
 
 # Connections ---------------------------------------------------------------------------------

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import polars as pl
 from polars.exceptions import PolarsError
 
-from qpctrl.errors import InputError
+from qpctrl.errors import InputError, reason_of
 from scenarios.study.plan import Plan
 from scenarios.study.rollout import Made, row_schema
 from scenarios.study.study import Study, without_reading
@@ -250,7 +250,7 @@ def _refusing(path: Path) -> Iterator[None]:
     try:
         yield
     except (OSError, PolarsError) as error:
-        reason = getattr(error, "strerror", None) or " ".join(str(error).split())
+        reason = reason_of(error)
         raise InputError(f"{str(path)!r} cannot be written: {reason}") from error
 
 

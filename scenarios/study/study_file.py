@@ -36,7 +36,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
-from qpctrl.errors import InputError, unknown_name
+from qpctrl.errors import InputError, reason_of, unknown_name
 from scenarios.study.design import Design
 from scenarios.study.factor import Factor
 from scenarios.study.parameter import Parameter, number
@@ -84,7 +84,7 @@ def read_study(path: Path) -> dict[str, Any]:
     try:
         found = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:
-        said = getattr(error, "strerror", None) or " ".join(str(error).split())
+        said = reason_of(error)
         raise InputError(f"study file {str(path)!r}: {said}") from error
     _check_keys(found, f"study {path.stem!r}")
     return {"name": path.stem, **found}

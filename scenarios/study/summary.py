@@ -4,9 +4,9 @@ from collections import Counter
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-import numpy as np
 import polars as pl
 
+from scenarios.run import plain
 from scenarios.scenario import Criterion
 from scenarios.study.importance import importance
 from scenarios.study.outcome import FAILURES, OutcomeClass
@@ -46,7 +46,7 @@ def conclude(
     """
     criteria = study.judge(table)
     complete = len(table) == manifest["rows"]
-    said = [{**c._asdict(), "value": _known(c.value), "passed": c.passed} for c in criteria]
+    said = [{**c._asdict(), "value": plain(c.value), "passed": c.passed} for c in criteria]
     summary = {
         **manifest,
         "passed": complete and all(c.passed for c in criteria),
@@ -168,7 +168,3 @@ def _of_controller(study: Study, names: tuple[str, ...], rows: pl.DataFrame) -> 
 
 def _rate(study: Study, count: int, of: int) -> dict[str, float]:
     return wilson(count, of)._asdict() if is_sampled(study) else {"value": count / of}
-
-
-def _known(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
