@@ -4,7 +4,7 @@ import json
 import re
 import shutil
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -12,6 +12,7 @@ import numpy as np
 import polars as pl
 import pytest
 from plotly.offline import get_plotlyjs
+from scipy.stats import binomtest, t, ttest_rel
 
 from qpctrl import InputError
 from scenarios.cli import main
@@ -643,11 +644,15 @@ def test_the_worst_settings_are_listed_with_failures_first() -> None:
 # Verdicts ------------------------------------------------------------------------------------
 
 
-def around(means: Mapping[str, float], spread: float = 0.2) -> Answer:
-    """Return a force error that spreads around a mean for each controller, and no failures."""
+def around(means: Mapping[str, float], spread: float = 0.2, common: float = 0.0) -> Answer:
+    """Return a force error that spreads around a mean for each controller, and no failures.
+
+    ``common`` is what a draw does to all controllers alike; in the mean of 5 draws, nothing.
+    """
 
     def answer(point: Mapping[str, float], controller: str, repeat: int) -> dict[str, Any]:
-        return {"force_mae_N": means[controller] + spread * np.sin(5.0 * repeat)}
+        own = spread * np.sin(5.0 * repeat + list(means).index(controller))
+        return {"force_mae_N": means[controller] + own + common * (repeat % 5 - 2)}
 
     return answer
 
@@ -671,7 +676,7 @@ def test_the_best_is_named_where_its_interval_overlaps_no_other() -> None:
     assert ends == ["second of 4", "third of 4", "worst of 4"]
 
 
-def test_no_verdict_where_intervals_overlap() -> None:
+def test_no_verdict_where_the_interval_of_the_difference_holds_zero() -> None:
     said = verdicts(compared({"qp": 1.4, "law": 1.41, "spring": 3.0, "slow": 3.01}))
     assert said["qp"].endswith("), not distinguishable from law")
     assert said["slow"].endswith("), not distinguishable from spring, more than qp and law")
@@ -686,12 +691,106 @@ def test_a_measure_that_goes_below_zero_is_not_ranked() -> None:
 
 
 def test_few_rollouts_and_one_controller_are_not_ranked() -> None:
-    few = verdicts(compared({"qp": 1.0, "law": 9.0}, repeats=19))
-    assert few["qp"].endswith("); 19 rollouts are too few to rank it")
-    assert "best of 2" in verdicts(compared({"qp": 1.0, "law": 9.0}, repeats=20))["qp"]
+    few = verdicts(compared({"qp": 1.0, "law": 9.0}, repeats=9))
+    assert few["qp"].endswith("); 9 rollouts are too few to rank it")
+    assert "best of 2" in verdicts(compared({"qp": 1.0, "law": 9.0}, repeats=10))["qp"]
     alone = verdicts(compared({"qp": 1.0}))["qp"]
     assert alone.endswith(")")
     assert "rank" not in alone
+
+
+def at_levels(answer: Answer, repeats: int, **of: Any) -> dict[str, Any]:
+    """Return the summary of two controllers at five tilts that share their draws."""
+    study = a_study(**{"controllers": ("qp", "law"), "design": Design(size=5)} | of)
+    study = replace(study, repeats=repeats)
+    return concluded(study, rows_of(study, answer))
+
+
+def test_rows_of_one_draw_do_not_count_as_many() -> None:
+    summary = at_levels(around({"qp": 1.0, "law": 9.0}), 9)
+    one = summary["controllers"]["qp"]
+    assert (one["rows"], one["draws"]) == (45, 9)
+    assert verdicts(summary)["qp"].endswith("); 9 draws are too few to rank it")
+    assert "best of 2" in verdicts(at_levels(around({"qp": 1.0, "law": 9.0}), 10))["qp"]
+
+
+def test_what_a_draw_does_to_both_does_not_hide_their_difference() -> None:
+    summary = at_levels(around({"qp": 10.0, "law": 10.5}, common=3.0), 20)
+    qp, law = (summary["controllers"][n]["measures"]["force_mae_N"] for n in ("qp", "law"))
+    assert qp["high"] > law["low"] + 2.0
+    assert verdicts(summary)["qp"].endswith("best of 2")
+    assert verdicts(summary)["law"].endswith("worst of 2")
+
+
+def test_the_difference_of_two_controllers_is_that_of_a_paired_t_test_over_draws() -> None:
+    rng = np.random.default_rng(0)
+    draw, own = 5 * rng.normal(size=25), rng.normal(size=(2, 5, 25))
+
+    def answer(point: Mapping[str, float], controller: str, repeat: int) -> dict[str, Any]:
+        tilt, which = round(point["tilt"] / 5) + 2, int(controller == "law")
+        return {"force_mae_N": 50 + tilt + which + draw[repeat] + own[which, tilt, repeat]}
+
+    summary = at_levels(answer, 25)
+    found = summary["controllers"]["qp"]["differences"]["force_mae_N"]["law"]
+    means = own.mean(axis=1) + np.array([[0.0], [1.0]])
+    test = ttest_rel(*means).confidence_interval()
+    assert found["value"] == pytest.approx(means[0].mean() - means[1].mean())
+    width = test.high - test.low
+    assert [found["low"], found["high"]] == pytest.approx([test.low, test.high], abs=0.1 * width)
+    assert found["draws"] == 25
+    back = summary["controllers"]["law"]["differences"]["force_mae_N"]["qp"]
+    assert [back["low"], back["high"]] == pytest.approx([-found["high"], -found["low"]])
+
+
+@pytest.mark.parametrize(("kind", "draws"), [("sobol", 8), ("morris", 8), ("indices", 8)])
+def test_points_that_are_drawn_are_draws_with_all_their_repeats(kind: Any, draws: int) -> None:
+    study = a_study(factors=(TILT, STIFFNESS, GAIN), design=Design(kind=kind, size=8), repeats=3)
+    table = rows_of(study, additive)
+    one = concluded(study, table)["controllers"]["qp"]
+    assert one["draws"] == draws
+    first = table.filter(pl.col("row") < len(table) // 3 // 8)
+    alone = concluded(study, first)["controllers"]["qp"]["measures"]["force_mae_N"]
+    assert not {"low", "high"} & alone.keys()  # how far a single draw is off is open
+
+
+@pytest.mark.parametrize(
+    ("law", "said"), [(1.011, "best of 2"), (1.009, "not distinguishable from law")]
+)
+def test_a_difference_that_does_not_matter_is_not_told(law: float, said: str) -> None:
+    study = a_study(controllers=("qp", "law"), factors=(), repeats=40)
+    summary = concluded(study, rows_of(study, around({"qp": 1.0, "law": law}, spread=0.001)))
+    apart = summary["controllers"]["qp"]["differences"]["force_mae_N"]["law"]
+    assert apart["high"] < 0
+    assert verdicts(summary)["qp"].endswith(f"), {said}")
+
+
+@pytest.mark.parametrize(("bad", "said"), [(5, ""), (6, "most failures of 2")])
+@pytest.mark.parametrize("noise", [0.0, 1e-6])
+def test_what_differs_in_a_few_draws_alone_is_chance(bad: int, said: str, noise: float) -> None:
+    def answer(point: Mapping[str, float], controller: str, repeat: int) -> dict[str, Any]:
+        off = controller == "law" and repeat < bad
+        force = 2.0 if off else 1.0 + noise * (controller == "law")
+        return {"force_mae_N": force, "outcome": "lost" if off else "ok"}
+
+    summary = at_levels(answer, 40)
+    apart = summary["controllers"]["law"]["differences"]
+    assert all(apart[m]["qp"]["low"] > 0 for m in ("force_mae_N", "failed"))
+    assert standing(summary, "force_mae_N", "law") == (
+        "worst of 2" if said else "not distinguishable from qp"
+    )
+    words = verdicts(summary)["law"]
+    assert words.startswith(f"lost contact in {5 * bad} of 200 rollouts ({2.5 * bad:.3g}{NBSP}%, ")
+    assert (f"), {said};" in words) == bool(said)
+
+
+def test_the_interval_of_a_rate_counts_draws_where_all_of_a_draw_fails() -> None:
+    def answer(point: Mapping[str, float], controller: str, repeat: int) -> dict[str, Any]:
+        return {"force_mae_N": 1.0, "outcome": "lost" if repeat < 6 else "ok"}
+
+    one = at_levels(answer, 20)["controllers"]["qp"]["failed"]
+    score = binomtest(6, 20).proportion_ci(0.95, method="wilson")
+    assert one["value"] == 0.3
+    assert [one["low"], one["high"]] == pytest.approx([score.low, score.high])
 
 
 def test_a_controller_that_diverged_is_not_compared_by_what_it_survived() -> None:
@@ -751,14 +850,23 @@ def test_units_and_words_of_measures_and_criteria() -> None:
     )
 
 
+def test_the_interval_of_independent_points_is_the_standard_error_of_their_mean() -> None:
+    study = a_cloud_study(128)
+    table = rows_of(study, traded)
+    values = table.filter(pl.col("controller") == "qp")["force_mae_N"].to_numpy()
+    found = concluded(study, table)["controllers"]["qp"]["measures"]["force_mae_N"]
+    width = 2 * t.ppf(0.975, 127) * values.std(ddof=1) / np.sqrt(128)
+    assert found["high"] - found["low"] == pytest.approx(width, rel=0.1)
+
+
 def test_means_and_rates_are_those_of_the_rows(leveled) -> None:
     study, table = leveled
     one = concluded(study, table)["controllers"]["law"]
     values = table.filter(pl.col("controller") == "law")["force_mae_N"].drop_nulls().to_numpy()
     found = one["measures"]["force_mae_N"]
     assert (found["value"], found["max"]) == pytest.approx((values.mean(), values.max()))
-    error = values.std() / np.sqrt(len(values))
-    assert found["high"] - found["low"] == pytest.approx(2 * 1.96 * error, rel=0.15)
+    by_draw = values.reshape(-1, 3).mean(axis=0)  # of three, the interval holds all
+    assert (found["low"], found["high"]) == pytest.approx((by_draw.min(), by_draw.max()))
     assert one["outcomes"]["diverged"] == 3
     assert one["rates"]["diverged"]["value"] == pytest.approx(3 / 24)
     assert found["rollouts"] == 21

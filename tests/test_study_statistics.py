@@ -7,13 +7,19 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.optimize import brentq
-from scipy.stats import binom, norm
+from scipy.stats import binom, norm, t, ttest_rel
 
 from qpctrl import InputError
 from qpctrl.arrays import Matrix, Vector
 from scenarios.iso9283 import cycles, path_criteria
 from scenarios.study.pareto import pareto_front
-from scenarios.study.rate import bootstrap_mean, bootstrap_means, wilson
+from scenarios.study.rate import (
+    Groups,
+    bootstrap_means,
+    effective_size,
+    percentile_interval,
+    wilson,
+)
 from scenarios.study.sensitivity import (
     morris,
     morris_effects,
@@ -247,8 +253,12 @@ POINTS, VALUES = np.tile([[0.0, 0], [1, 0], [1, 1]], (5, 1)), np.arange(15.0)
         (lambda: wilson(3, 2), "rate: got 3 of 2"),
         (lambda: wilson(-1, 2), "rate: got -1 of 2"),
         (lambda: wilson(1, 2, 0.0), "confidence: got 0.0"),
-        (lambda: bootstrap_mean([1.0], 0), r"values: got shape \(1,\)"),
-        (lambda: bootstrap_mean([1.0, np.nan, 2.0], 0), "1 of 3 are not finite"),
+        (
+            lambda: wilson(1, 2, worth=3.0),
+            "rate: got 2 rollouts that are worth 3.0, need 0 < worth",
+        ),
+        (lambda: bootstrap_means(POINTS, 0, groups=np.arange(14)), r"groups: got shape \(14,\)"),
+        (lambda: percentile_interval(POINTS, 0.95, 1), "groups: got 1, need at least 2"),
         (lambda: pareto_front([1.0, 2.0]), r"costs: got shape \(2,\)"),
         (lambda: cycles(np.ones((5, 3)), 6), "got 5 ticks, need 6"),
         (lambda: cycles(np.ones((5, 2)), 2), r"positions: got shape \(5, 2\)"),
@@ -275,13 +285,14 @@ def test_without_salib_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> No
 
 @pytest.mark.parametrize(("count", "of"), [(8, 10), (1, 7), (250, 1000), (0, 12), (12, 12)])
 @pytest.mark.parametrize("confidence", [0.8, 0.95])
+@pytest.mark.parametrize("worth", [None, 4.5])
 def test_the_ends_of_wilsons_interval_solve_the_score_equation(
-    count: int, of: int, confidence: float
+    count: int, of: int, confidence: float, worth: float | None
 ) -> None:
-    rate, z = wilson(count, of, confidence), norm.ppf((1 + confidence) / 2)
+    rate, z = wilson(count, of, confidence, worth=worth), norm.ppf((1 + confidence) / 2)
 
     def score(p: float) -> float:
-        return (count - of * p) / np.sqrt(of * p * (1 - p))
+        return (count / of - p) / np.sqrt(p * (1 - p) / (worth or of))
 
     low = brentq(lambda p: score(p) - z, 1e-12, 1 - 1e-12, xtol=1e-14) if count else 0.0
     high = brentq(lambda p: score(p) + z, 1e-12, 1 - 1e-12, xtol=1e-14) if count < of else 1.0
@@ -296,21 +307,143 @@ def test_of_nothing_nothing_is_known() -> None:
     assert rate[1:] == (0, 1)
 
 
+def shared(
+    draws: int, levels: int, rng: np.random.Generator, alike: float = 0.8
+) -> tuple[Matrix, Groups]:
+    """Return numbers (levels x draws) of mean 0 and variance 1, and the draw of each.
+
+    ``alike`` is the correlation of two of one draw.
+    """
+    own, common = rng.normal(size=(levels, draws)), rng.normal(size=draws)
+    values = np.sqrt(alike) * common + np.sqrt(1 - alike) * own
+    return values, np.tile(np.arange(draws), (levels, 1))
+
+
+def interval(
+    values: Matrix, seed: int, *, groups: Groups | None = None, count: int | None = None, **of: Any
+) -> tuple[float, float]:
+    """Return the bootstrap interval of the mean of all values."""
+    confidence = of.pop("confidence", 0.95)
+    own = None if groups is None else groups.ravel()
+    means = bootstrap_means(values.reshape(-1, 1), seed, groups=own, **of)
+    low, high = percentile_interval(means, confidence, count)
+    return float(low[0]), float(high[0])
+
+
 def test_the_bootstrap_interval_of_a_mean_covers_as_often_as_it_says() -> None:
     rng, trials, hits = np.random.default_rng(6), 400, 0
     for trial in range(trials):
-        mean = bootstrap_mean(rng.gamma(4.0, 0.5, 100), seed=trial, confidence=0.9, resamples=400)
-        hits += mean.low <= 2 <= mean.high
+        values = rng.gamma(4.0, 0.5, 100)
+        low, high = interval(values, trial, confidence=0.9, resamples=400)
+        hits += low <= 2 <= high
     assert within_binomial(hits, trials, 0.9), hits
+
+
+def test_what_shares_draws_is_covered_by_whole_draws_and_not_by_rows() -> None:
+    """At 7 levels, alike by 0.8, the mean has √(1 + 6 · 0.8) = 2.4 times the error of 7 draws."""
+    rng, trials, whole, rows = np.random.default_rng(7), 2000, 0, 0
+    for trial in range(trials):
+        values, draws = shared(40, 7, rng)
+        low, high = interval(values, trial, groups=draws, count=40)
+        whole += low <= 0 <= high
+        if trial < trials // 4:
+            low, high = interval(values, trial, resamples=400)
+            rows += low <= 0 <= high
+    assert within_binomial(whole, trials, 0.95), whole
+    assert 0.93 <= whole / trials <= 0.97
+    share = 2 * norm.cdf(1.96 / np.sqrt(1 + 6 * 0.8)) - 1  # 58 %
+    assert within_binomial(rows, trials // 4, share), rows
+    assert rows / (trials // 4) < 0.8
+
+
+@pytest.mark.parametrize("alike", [0.0, 0.3, 0.9])
+def test_the_width_is_the_standard_error_of_a_mean_with_intraclass_correlation(
+    alike: float,
+) -> None:
+    draws, levels = 3000, 5
+    values, own = shared(draws, levels, np.random.default_rng(1), alike)
+    error = np.sqrt((1 + (levels - 1) * alike) / (draws * levels))
+    low, high = interval(values, 1, groups=own, count=draws, resamples=4000)
+    assert high - low == pytest.approx(2 * 1.96 * error, rel=0.08)  # four errors of both ends
+
+
+def test_of_few_draws_the_interval_is_students_and_covers() -> None:
+    rng, trials, hits, widths = np.random.default_rng(3), 500, 0, []
+    for trial in range(trials):
+        values, draws = shared(10, 7, rng)
+        low, high = interval(values, trial, groups=draws, count=10)
+        hits += low <= 0 <= high
+        student = 2 * t.ppf(0.975, 9) * values.mean(axis=0).std(ddof=1) / np.sqrt(10)
+        many = np.subtract(*interval(values, trial, groups=draws)[::-1])
+        widths.append([(high - low) / student, many / student])
+    assert within_binomial(hits, trials, 0.95), hits
+    assert np.median(widths, axis=0) == pytest.approx([1.0, 0.82], abs=0.03)
+
+
+def test_the_interval_of_a_paired_difference_is_that_of_the_paired_t_test() -> None:
+    rng, draws = np.random.default_rng(4), 24
+    common, own = shared(draws, 7, rng)
+    pair = 3 * common[..., None] + 0.2 * rng.normal(size=(7, draws, 2)) + [0.0, 0.1]
+    means = bootstrap_means(pair.reshape(-1, 2), 0, 20_000, groups=own.ravel())
+    low, high = percentile_interval(means[:, :1] - means[:, 1:], 0.95, draws)
+    test = ttest_rel(*pair.mean(axis=0).T).confidence_interval()
+    width = test.high - test.low
+    assert [low[0], high[0]] == pytest.approx([test.low, test.high], abs=0.05 * width)
+    one, other = (interval(pair[..., i], 0, groups=own, count=draws) for i in (0, 1))
+    assert min(np.subtract(*x[::-1]) for x in (one, other)) > 10 * width
+
+
+def test_each_row_a_draw_of_its_own_is_as_without_draws() -> None:
+    rows = np.random.default_rng(1).normal(size=(40, 3))
+    found = bootstrap_means(rows, seed=2, groups=np.arange(40) * 7)
+    assert np.array_equal(found, bootstrap_means(rows, seed=2))
+
+
+def test_a_draw_is_drawn_whole_and_counts_as_often_as_it_has_rows() -> None:
+    rows, draws = np.array([[1.0], [2.0], [3.0], [10.0]]), np.array([5, 5, 5, 2])
+    found, times = np.unique(bootstrap_means(rows, 0, 4000, groups=draws), return_counts=True)
+    assert found.tolist() == [2.0, 4.0, 10.0]
+    assert times / 4000 == pytest.approx([0.25, 0.5, 0.25], abs=0.03)
+
+
+@pytest.mark.parametrize("levels", [1, 7])
+@pytest.mark.parametrize("ends", ["alike", "never", "always"])
+def test_draws_that_end_alike_are_worth_one_rollout_each(levels: int, ends: str) -> None:
+    happened = {"alike": np.arange(12) % 3 == 0, "never": np.zeros(12), "always": np.ones(12)}
+    values = np.tile(happened[ends].astype(float), (levels, 1))
+    draws = np.tile(np.arange(12), (levels, 1))
+    assert effective_size(values.ravel(), draws.ravel()) == pytest.approx(12, rel=ROUND_OFF)
+
+
+def test_rollouts_that_end_as_they_like_are_worth_nearly_as_many_as_they_are() -> None:
+    rng = np.random.default_rng(2)
+    values, draws = shared(1000, 5, rng, alike=0.0)
+    assert effective_size((values > 0).ravel() + 0.0, draws.ravel()) > 0.93 * 5000
+    level = (np.arange(5) > 2)[:, None] + np.zeros(1000)  # the level alone decides
+    assert effective_size(level.ravel() + 0.0, draws.ravel()) == 5000
+
+
+@pytest.mark.parametrize(("share", "alike", "rows"), [(0.1, 0.95, 0.65), (0.3, 0.5, 0.8)])
+def test_the_interval_of_a_rate_covers_where_draws_are_shared(
+    share: float, alike: float, rows: float
+) -> None:
+    rng, trials, hits = np.random.default_rng(8), 600, np.zeros(2)
+    for _ in range(trials):
+        values, draws = shared(20, 7, rng, alike)
+        failed = (values < norm.ppf(share)).ravel() + 0.0
+        for i, worth in enumerate((effective_size(failed, draws.ravel()), None)):
+            rate = wilson(int(failed.sum()), 140, worth=worth)
+            hits[i] += rate.low <= share <= rate.high
+    assert 0.93 <= hits[0] / trials <= 0.99, hits
+    assert hits[1] / trials < rows
 
 
 def test_the_bootstrap_of_a_mean_is_seeded_and_its_width_is_the_standard_error() -> None:
     values = np.random.default_rng(1).normal(5, 2, 400)
-    one, again, other = (bootstrap_mean(values, seed=s, resamples=4000) for s in (1, 1, 2))
+    one, again, other = (interval(values, s, resamples=4000) for s in (1, 1, 2))
     assert one == again
     assert one != other
-    assert one.value == pytest.approx(values.mean(), abs=ROUND_OFF)
-    assert one.high - one.low == pytest.approx(2 * 1.96 * values.std() / 20, rel=0.06)
+    assert one[1] - one[0] == pytest.approx(2 * 1.96 * values.std() / 20, rel=0.06)
 
 
 def test_rows_are_drawn_whole_and_alike_in_batches(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -26,9 +26,11 @@ from scenarios.study.word import (
 
 SAMPLED = (
     "Rates with Wilson intervals, means with bootstrap intervals over the rollouts that have the "
-    "number; all of 95 %. What has a sign is given from its smallest to its largest value. "
-    "Controllers are told apart only where their intervals do not overlap; one with rollouts that "
-    "diverged is not compared in the mean of the others."
+    "number; all of 95 %, and rollouts that share their random numbers or their point count as "
+    "one draw. What has a sign is given from its smallest to its largest value. Controllers are "
+    "told apart only where the interval of their difference, draw by draw, leaves out zero, and "
+    "where that is 1 % or more; one with rollouts that diverged is not compared in the mean of the "
+    "others."
 )
 CHOSEN = (
     "One rollout at each chosen point is no sample, so there are no intervals: numbers are given "

@@ -1,9 +1,10 @@
 """Verdicts in words: what each controller achieved, and how it compares with the others.
 
-A controller is above or below another in a measure only where their intervals do not overlap,
-where both have the measure in every rollout, and where there are rollouts enough; in its share of
-failures only where those intervals do not overlap. Where rollouts are no sample, ranges take the
-place of intervals, where these overlap nothing is said, and failures are only counted.
+A controller is above or below another in a measure only where the interval of their difference,
+rollout by rollout of the same draws, leaves out zero, where that difference matters, where both
+have the measure in every rollout, and where there are draws enough; so it is with its share of
+failures. Where rollouts are no sample, ranges take the place of intervals, where these overlap
+nothing is said, and failures are only counted.
 
 A measure is compared if less of it is better: an error, a loss, a time. One that has a sign, or a
 right value, is told as a range.
@@ -12,10 +13,18 @@ right value, is told as a range.
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from scenarios.study.importance import FAILED
 from scenarios.study.word import amount
 
-FEWEST = 20
-"""Rollouts below which a bootstrap interval is too narrow to tell controllers apart."""
+FEWEST = 10
+"""Draws below which a bootstrap interval is too narrow to tell controllers apart."""
+
+FEWEST_APART = 6
+"""Draws in which two controllers must differ: of fewer, all have the same sign too often, in one
+of 2⁴ cases or more."""
+
+NEGLIGIBLE = 0.01
+"""Share of the larger of two means below which a difference, however sure, does not matter."""
 
 TOLD = 2
 """Measures that a verdict tells, the first of those that are shown; tables have them all."""
@@ -31,7 +40,7 @@ COSTS = {
 }
 """Parts of the name of a measure of which less is better."""
 
-FAILED = {"diverged": "diverged", "lost": "lost contact", "chatter": "chattered"}
+FAILURE_WORDS = {"diverged": "diverged", "lost": "lost contact", "chatter": "chattered"}
 WORSE = {"saturated": "at a limit", "degraded": "degraded"}
 ORDINALS = {2: "second", 3: "third"}
 SURE = "95\u00a0%"
@@ -69,7 +78,8 @@ def standing(summary: Mapping[str, Any], measure: str, controller: str) -> str:
     known = {n: one for n, one in _measured(summary, measure).items() if _ranked(summary, n, one)}
     if controller not in known or not is_cost(summary, measure):
         return ""
-    return _compared(summary, known, controller, "best", "worst")
+    signs = {n: _sign(summary, measure, known, controller, n) for n in known if n != controller}
+    return _compared(summary, signs, "best", "worst")
 
 
 def failure_standing(summary: Mapping[str, Any], controller: str) -> str:
@@ -77,26 +87,38 @@ def failure_standing(summary: Mapping[str, Any], controller: str) -> str:
     rates = {n: one["failed"] for n, one in summary["controllers"].items() if one["rows"]}
     if not summary["sampled"] or not any(one["value"] > 0 for one in rates.values()):
         return ""
-    return _compared(summary, rates, controller, "fewest failures", "most failures")
+    signs = {n: _sign(summary, FAILED, rates, controller, n) for n in rates if n != controller}
+    return _compared(summary, signs, "fewest failures", "most failures")
 
 
-def _compared(
+def _sign(
     summary: Mapping[str, Any],
+    measure: str,
     known: Mapping[str, Mapping[str, float]],
-    controller: str,
-    best: str,
-    worst: str,
-) -> str:
-    """Return the place of a controller's interval among those of all; less is better."""
-    others = {name: _ends(one) for name, one in known.items()}
-    low, high = others.pop(controller)
-    if not others:
+    name: str,
+    other: str,
+) -> int:
+    """Return 1 where a controller has more than another one, −1 where less, 0 where it is open."""
+    if not summary["sampled"]:
+        (low, high), (least, most) = _ends(known[name]), _ends(known[other])
+        return (low > most) - (high < least)
+    apart = summary["controllers"][name]["differences"].get(measure, {}).get(other)
+    if apart is None or apart["draws"] < FEWEST_APART:
+        return 0
+    larger = max(abs(known[name]["value"]), abs(known[other]["value"]))
+    if abs(apart["value"]) < NEGLIGIBLE * larger:
+        return 0
+    return (apart["low"] > 0) - (apart["high"] < 0)
+
+
+def _compared(summary: Mapping[str, Any], signs: Mapping[str, int], best: str, worst: str) -> str:
+    """Return the place of a controller that has more (1) or less than others; less is better."""
+    if not signs:
         return ""
-    better = [name for name, one in others.items() if one[1] < low]
-    worse = [name for name, one in others.items() if one[0] > high]
-    alike = [name for name in others if name not in (*better, *worse)]
+    better = [name for name, sign in signs.items() if sign > 0]
+    alike = [name for name, sign in signs.items() if sign == 0]
     if not alike:
-        place, of = len(better) + 1, len(others) + 1
+        place, of = len(better) + 1, len(signs) + 1
         if place in (1, of):
             return f"{best if place == 1 else worst} of {of}"
         return f"{ORDINALS.get(place, f'{place}th')} of {of}"
@@ -160,7 +182,7 @@ def _outcomes(summary: Mapping[str, Any], name: str) -> list[str]:
     rows, counts = one["rows"], one["outcomes"]
     kind = "searches" if "worst" in summary["configuration"] else "rollouts"
     standing = failure_standing(summary, name)
-    bad = {words: counts[kind] for kind, words in FAILED.items() if counts[kind]}
+    bad = {words: counts[kind] for kind, words in FAILURE_WORDS.items() if counts[kind]}
     if bad:
         found = [f"{_listed(bad)} of {rows} {kind} ({percent(one['failed'])})"]
     elif summary["contact"]:
@@ -185,18 +207,22 @@ def _search(one: Mapping[str, Any]) -> str:
 
 
 def _unranked(summary: Mapping[str, Any], one: Mapping[str, Any]) -> list[str]:
-    rows = one["rows"]
+    rows, draws = one["rows"], one["draws"]
     if missing := one["outcomes"]["diverged"]:
         return [f"its numbers are of the other {rows - missing}, so it is not ranked"]
-    return [f"{rows} rollouts are too few to rank it"] if rows < _fewest(summary) else []
+    if _enough(summary, one):
+        return []
+    of = "rollout" if draws == rows else "draw"
+    return [f"{draws} {of}{'s are' if draws > 1 else ' is'} too few to rank it"]
 
 
 def _ranked(summary: Mapping[str, Any], name: str, one: Mapping[str, float]) -> bool:
-    return one["rollouts"] == summary["controllers"][name]["rows"] >= _fewest(summary)
+    whole = summary["controllers"][name]
+    return one["rollouts"] == whole["rows"] and _enough(summary, whole)
 
 
-def _fewest(summary: Mapping[str, Any]) -> int:
-    return FEWEST if summary["sampled"] else 1
+def _enough(summary: Mapping[str, Any], one: Mapping[str, Any]) -> bool:
+    return not summary["sampled"] or one["draws"] >= FEWEST
 
 
 def _ends(one: Mapping[str, float]) -> tuple[float, float]:
