@@ -2,8 +2,9 @@
 
 from qpctrl.constraint import Constraint, FaceOnPlane, Pfaffian, PfaffianRows
 from qpctrl.contact import Contact, ContactLife, ContactPhase
-from qpctrl.controller import Controller, Measurement, Memory
+from qpctrl.controller import Controller
 from qpctrl.errors import InputError, ModelMismatchError, QpctrlError
+from qpctrl.memory import Measurement, Memory
 from qpctrl.mode import Mode
 from qpctrl.objective import Weighted
 from qpctrl.report import ActiveLimit, Command, TickReport, Yield

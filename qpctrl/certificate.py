@@ -32,7 +32,9 @@ def build_certificate(tick: Tick) -> ca.Function:
     s = {name: ca.SX.sym(name, *f.size_out(name)) for name in INPUTS}
     x, y, z = (ca.SX.sym(n, s[of].shape[0]) for n, of in (("x", "g"), ("y", "b"), ("z", "lb")))
     inputs = [x, y, z, *s.values()]
-    s |= {name: ca.project(s[name], pattern) for name, pattern in tick.patterns.items()}
+    s |= {
+        name: ca.project(s[name], pattern) for name, pattern in tick.patterns.items() if name in s
+    }
     Cx = s["C"] @ x
     tau = Cx[: s["t"].shape[0]] + s["t"]
     size = ca.fmax(ca.fmax(_largest(s["tau_hybrid"]), _largest(tau)), TINY_TORQUE)

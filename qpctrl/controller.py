@@ -2,17 +2,16 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Literal, NamedTuple
 
 import numpy as np
 
 from qpctrl.arrays import Vector, finite_array, positive
 from qpctrl.certificate import KKT_TOLERANCE
 from qpctrl.compiled import CompileMode
-from qpctrl.contact import ContactPhase
 from qpctrl.engine import Engine
 from qpctrl.errors import InputError, unknown_name
-from qpctrl.fallback import Fallback
+from qpctrl.law import Law
+from qpctrl.memory import Measurement, Memory, remember
 from qpctrl.mode import Mode
 from qpctrl.objective import Reference
 from qpctrl.qp import FORMS
@@ -20,42 +19,6 @@ from qpctrl.rank import DependentRows, check_determined, independent
 from qpctrl.report import Command, TickReport
 from qpctrl.robot import Robot
 from qpctrl.solver import NEED_STRICT_CONVEXITY, make_solver
-from qpctrl.status import Status
-
-Law = Literal["qp", "hybrid", "textbook"]
-
-
-class Measurement(NamedTuple):
-    """What the sensors say at one tick."""
-
-    time: float
-    """Time of the measurement [s]; each must be later than the one before."""
-    q: Vector
-    """Configuration (nq) [rad or m]."""
-    v: Vector
-    """Velocity (nv) [rad/s or m/s]."""
-    contact: ContactPhase = ContactPhase.PRESS
-    """Phase of the contact; in a mode with constraints integrators hold unless it is closed."""
-
-
-class Memory(NamedTuple):
-    """What one tick hands to the next."""
-
-    mode: str
-    x: Vector
-    """Memory of the mode's tasks, packed."""
-    tau: Vector
-    """Torque sent last (nu) [Nm]."""
-    time: float
-    """Time of the last good measurement [s]."""
-    q: Vector
-    """Configuration of the last good measurement (nq) [rad or m]."""
-    contact: ContactPhase = ContactPhase.PRESS
-    """Phase of the contact at the last tick."""
-    freeze: bool = False
-    """Whether integrators hold at the next tick."""
-    fallback_ticks: int = 0
-    """Ticks so far that sent the fallback torque."""
 
 
 class Controller:
@@ -72,7 +35,7 @@ class Controller:
         modes: Sequence[Mode],
         *,
         dt: float = 1e-3,
-        solver: str = "proxsuite",
+        solver: str = "active-set",
         form: str = "reduced",
         law: Law = "qp",
         dependent_rows: DependentRows = "refuse",
@@ -85,12 +48,13 @@ class Controller:
             robot: the robot as the controller believes it to be.
             modes: the sets of constraints and tasks to switch between.
             dt: period of the loop [s].
-            solver: ``proxsuite`` or an installed back-end of qpsolvers.
+            solver: ``active-set``, ``proxsuite`` or an installed back-end of qpsolvers.
             form: ``reduced`` or ``full``.
             law: whose torque is sent; all of them are computed and compared.
             dependent_rows: ``refuse`` or ``drop`` rows of A that depend on others at home.
             kkt_tolerance: largest residual of a tick that is accepted.
-            compile: whether the ticks run as generated C, compiled once (`qpctrl.compiled`).
+            compile: whether the ticks run as generated C, compiled once (`qpctrl.compiled`); with
+                ``active-set`` a whole tick then is one call.
 
         Raises:
             InputError: a name, gain, matrix or mode that cannot be used.
@@ -98,7 +62,6 @@ class Controller:
         _check_choices(form, solver, law, modes)
         self.robot, self.dt, self.law = robot, float(positive(dt, (), "dt")), law
         tolerance = float(positive(kkt_tolerance, (), "kkt_tolerance"))
-        self._fallback = Fallback(robot)
         self.engines: dict[str, Engine] = {}
         for mode in modes:
             usable = independent(robot, mode, dependent_rows)
@@ -109,6 +72,7 @@ class Controller:
                 form=form,
                 solver=make_solver(solver),
                 dt=self.dt,
+                law=law,
                 tolerance=tolerance,
                 compile=compile,
             )
@@ -124,10 +88,7 @@ class Controller:
         The first tick may change the torque that holds there by ``tau_rate`` times the period.
         """
         engine, q = self._engine(mode), finite_array(q, (self.robot.nv,), "q")
-        rest = np.zeros(self.robot.nv)
-        hold = self._fallback.torque(q, rest)
-        tau = self._limited(engine, hold, hold, rest)
-        return Memory(mode, engine.tick.memory.vector(), tau, -math.inf, q)
+        return remember(mode, engine.holding_torque(q), q, engine.tick.memory.vector())
 
     def reset(self) -> None:
         """Forget warm starts, references and changed inputs of every mode.
@@ -164,76 +125,23 @@ class Controller:
         if memory.mode != mode or memory.time == -math.inf:
             engine.demand(references)
         if memory.mode != mode:
-            memory = memory._replace(mode=mode, x=self._carry(memory, engine))
-        status = _judge(measurement, memory)
-        if status is Status.OK:
-            engine.load(measurement.q, measurement.v, references, memory)
-            report = engine.solve(measurement.time)
-        else:
-            report = engine.refuse(measurement.time, status)
-        report = report._replace(contact=measurement.contact)
-        if report.status is not Status.OK:
-            return self._hold(engine, measurement, report, memory)
-        tau = self._choose(engine, report, memory, measurement.v)
-        open_contact = not measurement.contact.closed
-        after = Memory(
-            mode=mode,
-            x=engine.memory_after(),
-            tau=tau,
-            time=measurement.time,
-            q=np.array(measurement.q),
-            contact=measurement.contact,
-            freeze=report.saturated or (open_contact and engine.tick.mode_rows > 0),
-            fallback_ticks=memory.fallback_ticks,
-        )
-        return Command(tau, fallback=False), report, after
+            memory = memory._replace(mode=mode, packed=self._carry(memory, engine))
+        return engine.step(measurement, references, memory)
 
     def _engine(self, mode: str) -> Engine:
         if mode not in self.engines:
             raise unknown_name("mode", mode, self.engines)
         return self.engines[mode]
 
-    def _choose(self, engine: Engine, report: TickReport, memory: Memory, v: Vector) -> Vector:
-        if self.law == "qp":
-            return report.tau_qp
-        tau = report.tau_hybrid if self.law == "hybrid" else report.tau_textbook
-        return self._limited(engine, tau, memory.tau, v)
-
-    def _hold(
-        self, engine: Engine, measurement: Measurement, report: TickReport, memory: Memory
-    ) -> tuple[Command, TickReport, Memory]:
-        """Return the fallback torque, from the newest state that can be believed."""
-        q, v = memory.q, np.zeros(self.robot.nv)  # no damping along a velocity nobody knows
-        known = measurement.time > memory.time and bool(np.isfinite(measurement.q).all())
-        if known:
-            q = np.array(measurement.q)
-            elapsed = measurement.time - memory.time
-            v = np.array(measurement.v)
-            if not np.isfinite(v).all():
-                v = (q - memory.q) / elapsed  # zero after a start, whose time is −∞
-        tau = self._limited(engine, self._fallback.torque(q, v), memory.tau, v)
-        after = memory._replace(
-            tau=tau,
-            time=measurement.time if known else memory.time,
-            q=q,
-            contact=measurement.contact,
-            freeze=True,
-            fallback_ticks=memory.fallback_ticks + 1,
-        )
-        return Command(tau, fallback=True), report, after
-
-    def _limited(self, engine: Engine, tau: Vector, tau_last: Vector, v: Vector) -> Vector:
-        return self._fallback.limited(tau, tau_last, v, engine.inputs)
-
     def _carry(self, memory: Memory, engine: Engine) -> Vector:
-        """Return the new mode's memory, with what both modes' tasks share taken over."""
+        """Return what is remembered, with what both modes' tasks share taken over."""
         layout = engine.tick.memory
         x = layout.vector()
         old = self.engines[memory.mode].tick.memory.views(memory.x)
         for name, view in layout.views(x).items():
             if name in old and old[name].shape == view.shape:
                 view[...] = old[name]
-        return x
+        return np.concatenate((memory.tau, memory.q, x))
 
 
 def _check_choices(form: str, solver: str, law: str, modes: Sequence[Mode]) -> None:
@@ -251,12 +159,3 @@ def _check_choices(form: str, solver: str, law: str, modes: Sequence[Mode]) -> N
     if len({mode.name for mode in modes}) < len(modes):
         names = ", ".join(mode.name for mode in modes)
         raise InputError(f"controller: names of modes must differ, got {names}")
-
-
-def _judge(measurement: Measurement, memory: Memory) -> Status:
-    q, v = measurement.q, measurement.v
-    if not math.isfinite(float(q @ q) + float(v @ v) + measurement.time):
-        return Status.NOT_FINITE
-    if measurement.time <= memory.time:
-        return Status.STALE
-    return Status.OK

@@ -1,67 +1,44 @@
-"""One mode, ready to run: buffers, tick function, solver and certificate."""
+"""One mode, ready to run: a tick on preallocated buffers, from measurement to report."""
 
-import math
-from collections.abc import Mapping
-from typing import Protocol, runtime_checkable
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from qpctrl import certificate
 from qpctrl.arrays import Array, Vector
 from qpctrl.compiled import CompileMode, compiled
 from qpctrl.errors import InputError, unknown_name
-from qpctrl.evaluator import Evaluator
-from qpctrl.limit import torque_speed
+from qpctrl.law import Law
+from qpctrl.memory import Measurement, Memory, remember
 from qpctrl.mode import Mode
+from qpctrl.native_tick import NativeTick, native_library
 from qpctrl.objective import Reference
-from qpctrl.polish import Polish, active_set
+from qpctrl.parts import Runner, TickParts, build_functions
+from qpctrl.python_tick import PythonTick
 from qpctrl.rank import dependent_rows
-from qpctrl.report import ActiveLimit, TickReport, Yield
+from qpctrl.report import Command, ReportFormat, TickReport
 from qpctrl.robot import Robot
-from qpctrl.solver import QpData, Solution, Solver
-from qpctrl.status import Status
-from qpctrl.tick import MATRICES, SINGULAR_MOBILITY, build_tick
+from qpctrl.solver import ActiveSet, Solver
+from qpctrl.status import BY_CODE, LIMITED, Status
+from qpctrl.tick import build_tick
 
-ACTIVE_DUAL = 1e-8
-"""A row counts as active when its dual is larger than this."""
+OK = Status.OK
 
-SAME_TORQUE = 1e-6
-"""Distance [Nm] within which a torque is said to be on a limit."""
-
-WELL_POLISHED = 1e-12
-"""KKT residual below which a polished solution is taken as it is."""
-
-SINGULAR_DAMPING = 0.05
-"""Damping μ at the singularity itself [1/kg, 1/(kg m²)]."""
-
-
-@runtime_checkable
-class TaskMemory(Protocol):
-    """The part of the controller's memory that a tick reads."""
-
-    @property
-    def x(self) -> Vector:
-        """Packed memory of the tasks."""
-
-    @property
-    def tau(self) -> Vector:
-        """Torque sent last (nu) [Nm]."""
-
-    @property
-    def freeze(self) -> bool:
-        """Whether integrators hold."""
+new = tuple.__new__  # of a named tuple; its own constructor takes a quarter of a microsecond more
 
 
 class Engine:
     """The tick of one mode on preallocated buffers.
 
     Attributes:
-        tick: the function and its names.
-        terms: its outputs by name; overwritten every tick.
+        tick: the graph and its names.
+        parts: the functions on their buffers.
+        terms: outputs of the graph by name; overwritten every tick.
         qp: the QP among those outputs.
         inputs: its named inputs as writable views; gains and limits may be changed between
             ticks.
+        note: one line: what compiled the tick, or why it is interpreted.
     """
 
     def __init__(
@@ -72,27 +49,53 @@ class Engine:
         form: str,
         solver: Solver,
         dt: float,
+        law: Law,
         tolerance: float,
         compile: CompileMode,
     ) -> None:
         self.tick = build_tick(robot, mode, form)
-        self._robot, self._solver, self._tolerance = robot, solver, tolerance
-        function = compiled(self.tick.function, compile=compile).function
-        self._evaluate = Evaluator(function, matrices=MATRICES)
-        self.terms = self._evaluate.outputs
-        sizes = (len(self.terms["g"]), len(self.terms["b"]), len(self.terms["lb"]))
-        self._polish = Polish(*sizes)
-        self._point = np.zeros(sum(sizes))
-        x, y, z = np.split(self._point, np.cumsum(sizes[:2]))
-        check = compiled(certificate.build_certificate(self.tick), compile=compile).function
-        self._certify = Evaluator(check, {**self.terms, "x": x, "y": y, "z": z})
-        self._u = self._evaluate.inputs["u"]
-        self.inputs = self.tick.inputs.views(self._u)
-        self._dt = dt
+        self._solver, self._dt = solver, dt
+        functions = build_functions(robot, self.tick)
+        if isinstance(solver, ActiveSet):
+            self.parts = TickParts(robot, self.tick, functions)
+            library, self.note = native_library(functions, compile)
+        else:
+            made = {name: compiled(f, compile=compile) for name, f in functions.items()}
+            self.parts = TickParts(robot, self.tick, {name: m.function for name, m in made.items()})
+            library, self.note = None, made["tick"].note
+        self._runner: Runner = (
+            PythonTick(self.parts, solver, law, tolerance)
+            if library is None
+            else NativeTick(self.parts, law, tolerance, library)
+        )
+        self._solve = self._runner.solve
+        self._bind(robot)
         self.reset()
-        self.qp = QpData(*(self.terms[name] for name in QpData._fields))
-        self._torque_rows = self.terms["C"][: robot.nu]
-        self._k = self.tick.mode_rows
+
+    def _bind(self, robot: Robot) -> None:
+        """Keep at hand what every tick needs."""
+        parts, layout = self.parts, self.parts.layout
+        self.terms, self.qp = parts.terms, parts.qp
+        self._u = parts.inputs["u"]
+        self._q, self._v = _quick(parts.inputs["q"]), _quick(parts.inputs["v"])
+        self._last, self._clock = _quick(parts.last), _quick(parts.clock)
+        self._nu, self._remembered = robot.nu, len(parts.last)
+        self.inputs = parts.u
+        self._vectors: dict[str, dict[str, Any]] = {}
+        for name, array in self.inputs.items():
+            task, dot, own = name.partition(".")
+            if dot and array.ndim == 1:
+                self._vectors.setdefault(task, {})[own] = _quick(array)
+        self._numbers = parts.numbers
+        self._has_rows = self.tick.mode_rows > 0
+        self._name = self.tick.mode.name
+        self.format = ReportFormat(
+            mode=self._name,
+            layout=layout,
+            owners=tuple(row.partition(" ")[2] for row in self.tick.rows.inequality),
+            gives=self.tick.gives,
+            has_law=self.tick.has_law,
+        )
 
     def reset(self) -> None:
         """Forget references, changed inputs and the solver's warm start."""
@@ -113,171 +116,101 @@ class Engine:
                     f"{task.name!r}"
                 )
 
-    def load(
-        self, q: Vector, v: Vector, references: Mapping[str, Reference], memory: TaskMemory
-    ) -> None:
-        """Write state, references and memory into the buffers.
+    def step(
+        self, measurement: Measurement, references: Mapping[str, Reference], memory: Memory
+    ) -> tuple[Command, TickReport, Memory]:
+        """Return the torque of this tick, its report, and the memory for the next.
 
         Raises:
             InputError: unknown task or input, or an array of the wrong shape.
         """
-        state = self._evaluate.inputs
-        _put(state, "q", q)
-        _put(state, "v", v)
-        state["x"][:] = memory.x
-        self.inputs["limits.tau_last"][:] = memory.tau
-        self.inputs["freeze"][...] = memory.freeze
-        self.inputs["mu"][...] = 0.0
+        time, q, v, contact = measurement
+        try:
+            self._q[:], self._v[:], self._last[:] = q, v, memory.packed
+        except (TypeError, ValueError):  # no vectors of float64, or too long
+            self._put_state(q, v)
+            self._last[:] = memory.packed
+        clock = self._clock
+        clock[0], clock[1], clock[2] = time, memory.time, memory.freeze
         for task, reference in references.items():
-            for key, value in reference.arrays().items():
-                _put(self.inputs, f"{task}.{key}", value)
-
-    def solve(self, time: float) -> TickReport:
-        """Return the report of the tick that was loaded."""
-        if not math.isfinite(float(self._u @ self._u)):
-            return self.refuse(time, Status.NOT_FINITE)
-        self._evaluate()
-        damping = self._damp()
-        if self.terms["dependent"][0]:
-            names = dependent_rows(self.tick, self.terms["row_pivots"])
-            return self.refuse(time, Status.DEPENDENT_ROWS, names)
-        rough = self._solver.solve(self.qp)
-        if not rough.feasible:
-            return self.refuse(time, Status.INFEASIBLE)
-        solution, kkt = self._polished(rough)
-        if not kkt <= self._tolerance:
-            return self.refuse(time, Status.INACCURATE)
-        return self._report(time, rough, solution, damping)
-
-    def memory_after(self) -> Vector:
-        """Return the tasks' memory after the tick that was solved."""
-        return self.terms["memory"].copy()
-
-    def refuse(self, time: float, status: Status, rows: tuple[str, ...] = ()) -> TickReport:
-        """Return the report of a tick without a solution."""
-        nan = np.full(self._robot.nu, np.nan)
-        return TickReport(
-            time=time,
-            mode=self.tick.mode.name,
-            status=status,
-            tau_qp=nan,
-            tau_hybrid=nan,
-            tau_textbook=nan,
-            lam=np.full(self._k, np.nan),
-            kkt=np.full(4, np.nan),
-            law_gap=math.nan,
-            tau_solver=nan,
-            textbook_gap=math.nan,
-            unexplained_gap=math.nan,
-            curvature=math.nan,
-            active=(),
-            yields=(),
-            damping=float(self.inputs["mu"]),
-            dependent_rows=rows,
-            signals=np.full(self.terms["signals"].shape, np.nan),
+            self._refer(task, reference)
+        code = self._solve()
+        if code > LIMITED:
+            return self._hold(code, measurement, memory)
+        numbers = self._numbers.copy()
+        limited = code == LIMITED
+        freeze = limited or (self._has_rows and not contact.closed)
+        kept, fallbacks = numbers[: self._remembered], memory.fallback_ticks
+        return (
+            new(Command, (numbers[: self._nu], False)),
+            new(TickReport, (self.format, numbers, OK, contact, limited, ())),
+            new(Memory, (self._name, kept, memory.sizes, time, contact, freeze, fallbacks)),
         )
 
-    def _damp(self) -> float:
-        """Evaluate again with a damped Λ⁻¹ where its smallest pivot is too small."""
-        if not self.terms["singular"][0]:
-            return 0.0
-        smallest = float(self.terms["mobility_left"].min())
-        share = smallest / SINGULAR_MOBILITY if smallest > 0 else 0.0  # NaN where Λ is
-        closeness = 1.0 - share
-        damping = max(SINGULAR_DAMPING * closeness**2, SINGULAR_DAMPING * 1e-6)
-        self.inputs["mu"][...] = damping
-        self._evaluate()
-        return damping
+    def calls(self) -> dict[str, Callable[[], object]]:
+        """Return the parts of the tick, each as a call that repeats it on the data of the last.
 
-    def _polished(self, rough: Solution) -> tuple[Solution, float]:
-        """Return the polished solution and its residual; the solver's own if that is better."""
-        if not rough.z.dot(rough.z) or not np.any(active_set(self.qp, rough)):
-            none = np.zeros(len(rough.z))
-            polished = Solution(self.terms["x_eq"].copy(), self.terms["y_eq"], none)
-            if (kkt := self._residual(polished)) <= WELL_POLISHED:
-                return polished, kkt
-        polished = self._polish.on_active_set(self.qp, rough)
-        if (kkt := self._residual(polished)) <= WELL_POLISHED:
-            return polished, kkt
-        if (rough_kkt := self._residual(rough)) <= kkt:
-            return rough, rough_kkt
-        return polished, self._residual(polished)
+        ``graph``, ``QP`` and ``certificate``; of a tick in C also ``call``, which is all of them,
+        and ``nothing``, which shows what calling takes.
+        """
+        return self._runner.calls()
 
-    def _residual(self, solution: Solution) -> float:
-        """Return the KKT residual of a point, which the certificate then refers to."""
-        inputs, out = self._certify.inputs, self._certify.outputs
-        inputs["x"][:], inputs["y"][:], inputs["z"][:] = solution[:3]
-        self._certify()
-        if not math.isfinite(self._point.dot(self._point) + out["tau"].dot(out["tau"])):
-            return math.inf  # the maximum in the certificate passes over NaN
-        return max(out["kkt"].tolist())
+    def holding_torque(self, q: Vector) -> Vector:
+        """Return the torque (nu) [Nm] that holds the arm at rest in ``q`` (nq), within limits.
 
-    def _report(
-        self, time: float, rough: Solution, solution: Solution, damping: float
-    ) -> TickReport:
-        out, terms = self._certify.outputs, self.terms
-        gaps = out["gaps"].tolist()
-        if not self.tick.has_law:
-            gaps[1:] = [math.nan] * 3
-        z = solution.z
-        active = np.flatnonzero(np.abs(z) > ACTIVE_DUAL) if z.dot(z) else ()
-        return TickReport(
-            time=time,
-            mode=self.tick.mode.name,
-            status=Status.OK,
-            tau_qp=out["tau"].copy(),
-            tau_hybrid=terms["tau_hybrid"].copy(),
-            tau_textbook=terms["tau_textbook"].copy(),
-            lam=solution.x[len(solution.x) - self._k :],
-            kkt=out["kkt"].copy(),
-            law_gap=gaps[0],
-            tau_solver=self._torque_rows @ rough.x + terms["t"],
-            textbook_gap=gaps[1],
-            unexplained_gap=gaps[2],
-            curvature=gaps[3],
-            active=tuple(self._active(int(i), float(z[i])) for i in active),
-            yields=self._yields(solution.x) if len(active) else (),
-            damping=damping,
-            dependent_rows=(),
-            signals=terms["signals"].copy(),
+        The limit on its rate is around the torque that holds without limits.
+        """
+        hold = self.parts.fallback
+        hold.inputs["q"][:], hold.inputs["v"][:] = q, 0.0
+        hold()
+        self.inputs["limits.tau_last"][:] = hold.outputs["held"]
+        hold()
+        return hold.outputs["tau"].copy()
+
+    def _refer(self, task: str, reference: Reference) -> None:
+        """Write what a task shall follow into the buffers."""
+        places = self._vectors.get(task, {})
+        for name, value in reference.arrays().items():
+            try:
+                places[name][:] = value
+            except (KeyError, TypeError, ValueError):  # no vector, or none of float64, or unknown
+                self._put(f"{task}.{name}", value)
+
+    def _put_state(self, q: ArrayLike, v: ArrayLike) -> None:
+        for name, value in (("q", q), ("v", v)):
+            _assign(name, self.parts.inputs[name], value)
+
+    def _put(self, name: str, value: ArrayLike) -> None:
+        if name not in self.inputs or "." not in name:
+            raise unknown_name("task input", name, self.inputs)
+        _assign(name, self.inputs[name], value)
+
+    def _hold(
+        self, code: int, measurement: Measurement, memory: Memory
+    ) -> tuple[Command, TickReport, Memory]:
+        """Return the fallback torque, the report of a tick without a solution, and memory."""
+        known, parts = self._runner.hold(), self.parts
+        time = measurement.time if known else memory.time
+        status, layout = BY_CODE[code], self.format.layout
+        numbers = np.full(len(parts.numbers), np.nan)
+        layout.view(numbers, "time")[:] = measurement.time
+        layout.view(numbers, "damping")[:] = parts.u["mu"]
+        rows = status is Status.DEPENDENT_ROWS
+        names = dependent_rows(self.tick, self.terms["row_pivots"]) if rows else ()
+        tau, q = parts.named["tau"].copy(), parts.named["q"]
+        after = remember(self._name, tau, q, memory.x, time)._replace(
+            contact=measurement.contact, freeze=True, fallback_ticks=memory.fallback_ticks + 1
         )
-
-    def _active(self, row: int, dual: float) -> ActiveLimit:
-        kind, _, owner = self.tick.rows.inequality[row].partition(" ")
-        u, nu = self.inputs, self._robot.nu
-        if kind == "torque":
-            kind = self._torque_limit(row, 1.0 if dual > 0 else -1.0)
-        elif kind == "acceleration":
-            i = row - nu
-            r_v, v = u["limits.rates"][1], self._evaluate.inputs["v"][i]
-            bound = self.terms["ub" if dual > 0 else "lb"][row]
-            by_speed = r_v * (np.copysign(u["limits.v_max"][i], dual) - v)
-            kind = "velocity" if abs(bound - by_speed) < 1e-9 * (1 + abs(bound)) else "position"
-        return ActiveLimit(f"{kind} {owner}", dual)
-
-    def _torque_limit(self, row: int, side: float) -> str:
-        """Return what bounds the torque of actuator ``row`` from above (1) or below (−1)."""
-        u, tau = self.inputs, self._certify.outputs["tau"]
-        if side * tau[row] > u["limits.tau_max"][row] - SAME_TORQUE:
-            return "torque"
-        v_a = self._robot.B.T @ self._evaluate.inputs["v"]
-        line = torque_speed(side, u["limits.tau_stall"], u["limits.tau_droop"], v_a)
-        on_line = side * tau[row] > side * line[row] - SAME_TORQUE  # or beyond it, at ∓tau_max
-        return "torque-speed" if on_line else "torque rate"
-
-    def _yields(self, x: Vector) -> tuple[Yield, ...]:
-        give = self.terms["G"] @ (x - self.terms["x_law"])
-        return tuple(
-            Yield(measure.task, give[measure.rows].copy(), measure.axes, measure.units)
-            for measure in self.tick.gives
-        )
+        report = TickReport(self.format, numbers, status, measurement.contact, False, names)
+        return Command(tau, fallback=True), report, after
 
 
-def _put(inputs: Mapping[str, Array], name: str, value: ArrayLike) -> None:
-    place = inputs.get(name)
-    if place is None:
-        raise unknown_name("task input", name, inputs)
-    shape = value.shape if isinstance(value, np.ndarray) else np.shape(value)
-    if shape != place.shape:
-        raise InputError(f"{name}: got shape {shape}, need {place.shape}")
+def _assign(name: str, place: Array, value: ArrayLike) -> None:
+    if np.shape(value) != place.shape:
+        raise InputError(f"{name}: got shape {np.shape(value)}, need {place.shape}")
     place[...] = value
+
+
+def _quick(array: Array) -> Any:
+    """Return a view that takes vectors of its own length and kind, and no others, in no time."""
+    return memoryview(array)  # type: ignore[arg-type]

@@ -26,7 +26,7 @@ class Evaluator:
 
         Args:
             function: what to evaluate.
-            shared: inputs that read these arrays in place.
+            shared: arrays that inputs are read from, and outputs written to, in place.
             matrices: inputs and outputs that stay matrices when they have a single column.
         """
         buffer: Any
@@ -39,7 +39,8 @@ class Evaluator:
             self.inputs[name] = shared.get(name, _zeros(function.size_in(i), name in matrices))
             buffer.set_arg(i, memoryview(_flat(self.inputs[name])))
         for i, name in enumerate(function.name_out()):
-            self.outputs[name] = _zeros(function.size_out(i), name in matrices)
+            made = _zeros(function.size_out(i), name in matrices)
+            self.outputs[name] = shared.get(name, made)
             buffer.set_res(i, memoryview(_flat(self.outputs[name])))
 
     def __call__(self) -> None:

@@ -6,55 +6,55 @@ from the last two configurations; where nothing new is known there is no damping
 an old velocity would push.
 """
 
-from collections.abc import Mapping
-
 import casadi as ca
 import numpy as np
 
 from qpctrl import limit
-from qpctrl.arrays import Array, Vector
 from qpctrl.dynamics import Dynamics
-from qpctrl.evaluator import Evaluator
+from qpctrl.layout import Layout
 from qpctrl.robot import Robot
+from qpctrl.spatial import SX
 
 HOLD_DAMPING = 5.0
 """Damping of the fallback [1/s], times the diagonal of the mass matrix."""
 
 
-class Fallback:
-    """Torque to hold the arm at rest where it is."""
+def build_fallback(robot: Robot, inputs: Layout) -> ca.Function:
+    """Return (q, v, u) → (tau, held): the torque to hold the arm, with and without its limits.
 
-    def __init__(self, robot: Robot) -> None:
-        dynamics = Dynamics(robot)
-        gravity = ca.substitute(dynamics.h, dynamics.v, ca.SX.zeros(robot.nv))
-        damping = HOLD_DAMPING * ca.diag(dynamics.M) * dynamics.v
-        self._function = ca.Function(
-            "fallback", [dynamics.q, dynamics.v], [ca.densify(gravity - damping)]
-        )
-        self._B_pinv = np.linalg.pinv(robot.B)
-        self._limit = Evaluator(limit.limited_torque(robot))
-        self._own_limits = limit.inputs(robot)
+    Args:
+        robot: the robot as the controller believes it to be.
+        inputs: layout of a mode's packed inputs ``u``; of these only limits and period matter.
+    """
+    dynamics = Dynamics(robot)
+    u_vector, u = inputs.symbols("u")
+    gravity = ca.substitute(dynamics.h, dynamics.v, ca.SX.zeros(robot.nv))
+    damping = HOLD_DAMPING * ca.diag(dynamics.M) * dynamics.v
+    held = ca.SX(np.linalg.pinv(robot.B)) @ (gravity - damping)
+    return ca.Function(
+        "fallback",
+        [dynamics.q, dynamics.v, u_vector],
+        [ca.densify(_within(robot, held, dynamics.v, u)), ca.densify(held)],
+        ["q", "v", "u"],
+        ["tau", "held"],
+        {"cse": True},
+    )
 
-    def torque(self, q: Vector, v: Vector) -> Vector:
-        """Return the holding torque (nu) [Nm], not yet limited."""
-        return self._B_pinv @ np.asarray(self._function(q, v)).ravel()
 
-    def limited(
-        self, tau: Vector, tau_last: Vector, v: Vector, inputs: Mapping[str, Array]
-    ) -> Vector:
-        """Return ``tau`` (nu) [Nm] moved inside the bounds that the QP sets to the torque.
+def build_limited(robot: Robot, inputs: Layout) -> ca.Function:
+    """Return (tau, v, u) → limited: ``tau`` (nu) [Nm] moved inside the bounds that the QP sets."""
+    tau, v = ca.SX.sym("tau", robot.nu), ca.SX.sym("v", robot.nv)
+    u_vector, u = inputs.symbols("u")
+    limited = ca.densify(_within(robot, tau, v, u))
+    return ca.Function("limited", [tau, v, u_vector], [limited], ["tau", "v", "u"], ["limited"])
 
-        Args:
-            tau: torque of the fallback or of a law (nu) [Nm].
-            tau_last: torque sent last (nu) [Nm].
-            v: velocity (nv) [rad/s] at which the torque is sent.
-            inputs: those of the mode; a limit among them that is NaN is the robot's own.
-        """
-        given = self._limit.inputs
-        for name in limit.TORQUE_INPUTS:
-            value = inputs[f"limits.{name}"]
-            given[name][:] = np.where(np.isnan(value), self._own_limits[name], value)
-        given["tau"][:], given["v"][:], given["tau_last"][:] = tau, v, tau_last
-        given["dt"][:] = inputs["dt"]
-        self._limit()
-        return self._limit.outputs["limited"].copy()
+
+def _within(robot: Robot, tau: SX, v: SX, u: dict[str, SX]) -> SX:
+    """Return ``tau`` within limits; where an input is no number the robot's own takes its place."""
+    given, own = limit.named(u), limit.inputs(robot)
+    usable = {
+        name: ca.if_else(ca.fabs(given[name]) <= limit.UNBOUNDED, given[name], ca.SX(own[name]))
+        for name in limit.TORQUE_INPUTS
+    }
+    lb, ub = limit.torque_bounds(usable, u["dt"], limit.actuator_speed(robot, v))
+    return ca.fmin(ca.fmax(tau, lb), ub)

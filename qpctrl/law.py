@@ -8,7 +8,7 @@
 Source: LynchPark2017 §11.6.2; the last term is derived in docs/formulation.md.
 """
 
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import casadi as ca
 
@@ -16,6 +16,9 @@ from qpctrl.constraint.pfaffian import PfaffianRows
 from qpctrl.factor import Factor
 from qpctrl.space import SpaceTerms
 from qpctrl.spatial import SX
+
+Law = Literal["qp", "hybrid", "textbook"]
+"""Whose torque is sent."""
 
 
 class Split:

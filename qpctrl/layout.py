@@ -41,6 +41,14 @@ class Layout:
             for name, value in self._defaults.items()
         }
 
+    def view(self, vector: Vector, name: str) -> Array:
+        """Return a writable view of one array inside ``vector`` (size)."""
+        return vector[self._slices[name]].reshape(self._defaults[name].shape, order="F")
+
+    def place(self, name: str) -> slice:
+        """Return where in the vector an array lies."""
+        return self._slices[name]
+
     def symbols(self, name: str) -> tuple[SX, dict[str, SX]]:
         """Return one symbolic vector and the named arrays cut from it."""
         vector = ca.SX.sym(name, self.size)

@@ -50,6 +50,11 @@ def inputs(robot: Robot) -> dict[str, Array]:
     }
 
 
+def named(u: Mapping[str, SX]) -> dict[str, SX]:
+    """Return the limits among the inputs of a mode, by their names here."""
+    return {key[7:]: value for key, value in u.items() if key.startswith("limits.")}
+
+
 def torque_speed(side: float, stall: Quantity, droop: Quantity, v_a: Quantity) -> Quantity:
     """Return the line ±τ_stall − k_ω v_a (nu) [Nm] that the supply voltage sets to the torque.
 
@@ -79,20 +84,6 @@ def torque_bounds(u: Mapping[str, SX], dt: SX, v_a: SX) -> Bounds:
     lb = ca.fmax(lo, ca.fmin(u["tau_last"], hi) - step)
     ub = ca.fmin(hi, ca.fmax(u["tau_last"], lo) + step)
     return _finite(Bounds(lb, ub))
-
-
-def limited_torque(robot: Robot) -> ca.Function:
-    """Return (tau, v, dt, *TORQUE_INPUTS) → tau (nu) [Nm] moved inside `torque_bounds`."""
-    tau, v, dt = ca.SX.sym("tau", robot.nu), ca.SX.sym("v", robot.nv), ca.SX.sym("dt")
-    u = {name: ca.SX.sym(name, robot.nu) for name in TORQUE_INPUTS}
-    lb, ub = torque_bounds(u, dt, actuator_speed(robot, v))
-    return ca.Function(
-        "limited_torque",
-        [tau, v, dt, *u.values()],
-        [ca.fmin(ca.fmax(tau, lb), ub)],
-        ["tau", "v", "dt", *u],
-        ["limited"],
-    )
 
 
 def actuator_speed(robot: Robot, v: SX) -> SX:

@@ -1,12 +1,16 @@
 """What a tick says about itself: how its torque relates to the closed forms, and why."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from qpctrl.arrays import Array, Vector
 from qpctrl.contact import ContactPhase
+from qpctrl.explanation import KINDS
+from qpctrl.layout import Layout
 from qpctrl.status import Status
+from qpctrl.tick import Give
 
 TINY_TORQUE = 1e-9
 """Torque [Nm] below which gaps are not relative to the torque any more."""
@@ -19,6 +23,10 @@ CONTACT_WORDS = {
     ContactPhase.REGAIN: f"contact regained: {ContactPhase.REGAIN.value}",
 }
 """What `explain` says of a contact; of the other phases nothing."""
+
+
+ACTIVE_DUAL = 1e-8
+"""A row counts as active when its dual is larger than this."""
 
 
 class ActiveLimit(NamedTuple):
@@ -59,44 +67,129 @@ class Command(NamedTuple):
     """Whether this is the fallback torque."""
 
 
-class TickReport(NamedTuple):
-    """One tick, explained. Gaps are relative: max |Δτ| / max |τ|."""
+class ReportFormat(NamedTuple):
+    """What the numbers of the reports of one mode are."""
 
-    time: float
-    """Time of the measurement [s]."""
     mode: str
+    layout: Layout
+    """Names and places of the numbers, as `qpctrl.outcome` lists them."""
+    owners: tuple[str, ...]
+    """What each inequality of the QP belongs to."""
+    gives: tuple[Give, ...]
+    """Which of the numbers ``give`` belong to which task."""
+    has_law: bool
+    """Whether closed forms exist."""
+
+
+class TickReport(NamedTuple):
+    """One tick, explained. Gaps are relative: max |Δτ| / max |τ|.
+
+    All that it says is read out of ``numbers`` when it is asked for.
+    """
+
+    format: ReportFormat
+    """Names of what the numbers are."""
+    numbers: Vector
+    """The numbers of the tick in the order of ``format.layout``; NaN where it has no solution."""
     status: Status
-    tau_qp: Vector
-    """Torque of the QP (nu) [Nm]; NaN when there is none."""
-    tau_solver: Vector
-    """Torque of the solver's own answer (nu) [Nm], before the polish. Its last bits may differ
-    from run to run, so it is in no record."""
-    tau_hybrid: Vector
-    """Torque of the hybrid law (nu) [Nm], or of the equality-constrained QP without one."""
-    tau_textbook: Vector
-    """Torque of the law as printed (nu) [Nm]."""
-    lam: Vector
-    """Contact multipliers (k) [N, Nm], robot on environment."""
-    kkt: Vector
-    """Residuals (4): stationarity, equality, inequality, complementarity."""
-    law_gap: float
-    """QP against the hybrid law."""
-    textbook_gap: float
-    """QP against the law as printed."""
-    unexplained_gap: float
-    """QP against the law as printed, less the curvature term."""
-    curvature: float
-    """The curvature term Jᵀ Aᵀ S⁻¹ (Ȧ V − v̇_c), relative like the gaps."""
-    active: tuple[ActiveLimit, ...]
-    yields: tuple[Yield, ...]
-    """What each task lost; empty while no limit is active."""
-    damping: float
-    """Damping μ of Λ⁻¹ near a singularity [1/kg]; equality is not claimed where it is not 0."""
-    dependent_rows: tuple[str, ...]
-    signals: Array
-    """Recorded quantities, packed in the order of ``Tick.signals``."""
     contact: ContactPhase = ContactPhase.PRESS
     """Phase of the contact, as measured."""
+    limited: bool = False
+    """Whether a limit binds."""
+    dependent_rows: tuple[str, ...] = ()
+    """Rows of A that depend on others, where that is why there is no solution."""
+
+    @property
+    def time(self) -> float:
+        """Time of the measurement [s]."""
+        return float(self._of("time")[0])
+
+    @property
+    def mode(self) -> str:
+        """Name of the mode."""
+        return self.format.mode
+
+    @property
+    def tau_qp(self) -> Vector:
+        """Torque of the QP (nu) [Nm]; NaN when there is none."""
+        return self._of("tau_qp")
+
+    @property
+    def tau_solver(self) -> Vector:
+        """Torque of the solver's own answer (nu) [Nm], before the polish.
+
+        Its last bits may differ from run to run, so it is in no record.
+        """
+        return self._of("tau_solver")
+
+    @property
+    def tau_hybrid(self) -> Vector:
+        """Torque of the hybrid law (nu) [Nm], or of the equality-constrained QP without one."""
+        return self._of("tau_hybrid")
+
+    @property
+    def tau_textbook(self) -> Vector:
+        """Torque of the law as printed (nu) [Nm]."""
+        return self._of("tau_textbook")
+
+    @property
+    def lam(self) -> Vector:
+        """Contact multipliers (k) [N, Nm], robot on environment."""
+        return self._of("lam")
+
+    @property
+    def kkt(self) -> Vector:
+        """Residuals (4): stationarity, equality, inequality, complementarity."""
+        return self._of("kkt")
+
+    @property
+    def law_gap(self) -> float:
+        """QP against the hybrid law."""
+        return float(self._of("gaps")[0])
+
+    @property
+    def textbook_gap(self) -> float:
+        """QP against the law as printed; NaN where there is none."""
+        return self._law_number(1)
+
+    @property
+    def unexplained_gap(self) -> float:
+        """QP against the law as printed, less the curvature term; NaN where there is none."""
+        return self._law_number(2)
+
+    @property
+    def curvature(self) -> float:
+        """The curvature term Jᵀ Aᵀ S⁻¹ (Ȧ V − v̇_c), relative like the gaps; NaN without a law."""
+        return self._law_number(3)
+
+    @property
+    def damping(self) -> float:
+        """Damping μ of Λ⁻¹ near a singularity [1/kg]; equality is not claimed where it is not 0."""
+        return float(self._of("damping")[0])
+
+    @property
+    def signals(self) -> Array:
+        """Recorded quantities, packed in the order of ``Tick.signals``."""
+        return self._of("signals")
+
+    @property
+    def active(self) -> tuple[ActiveLimit, ...]:
+        """The rows of the QP that bind."""
+        if not self.limited:
+            return ()
+        z, kind = self._of("z"), self._of("kind")
+        rows = np.flatnonzero(np.abs(z) > ACTIVE_DUAL).tolist()
+        return tuple(
+            ActiveLimit(f"{KINDS[int(kind[i])]} {self.format.owners[i]}", float(z[i])) for i in rows
+        )
+
+    @property
+    def yields(self) -> tuple[Yield, ...]:
+        """What each task lost; empty while no limit is active."""
+        if not self.limited:
+            return ()
+        give = self._of("give")
+        return tuple(Yield(of.task, give[of.rows], of.axes, of.units) for of in self.format.gives)
 
     @property
     def kkt_residual(self) -> float:
@@ -112,7 +205,7 @@ class TickReport(NamedTuple):
     @property
     def saturated(self) -> bool:
         """Whether a limit binds."""
-        return bool(self.active)
+        return self.limited
 
     def explain(self) -> str:
         """Return in words why the torque is what it is."""
@@ -120,7 +213,7 @@ class TickReport(NamedTuple):
         if self.status is not Status.OK:
             rows = f": {', '.join(self.dependent_rows)}" if self.dependent_rows else ""
             return "; ".join([f"fallback torque: {self.status.value}{rows}", *contact])
-        law = "KKT solution" if np.isnan(self.curvature) else "hybrid law"
+        law = "hybrid law" if self.format.has_law else "KKT solution"
         said = [f"QP = {law} to {self.law_gap:.1e}"] if not self.active else []
         for limit in self.active:
             side = "upper" if limit.dual > 0 else "lower"
@@ -139,3 +232,9 @@ class TickReport(NamedTuple):
                 f"near a singularity: Λ damped by μ = {self.damping:.2g}, no equality claimed"
             )
         return "; ".join([*said, *contact])
+
+    def _of(self, name: str) -> Vector:
+        return self.numbers[self.format.layout.place(name)]
+
+    def _law_number(self, i: int) -> float:
+        return float(self._of("gaps")[i]) if self.format.has_law else math.nan

@@ -62,11 +62,38 @@ class Solution(NamedTuple):
 class Solver(Protocol):
     """A solver for QPs of one size, called once a tick."""
 
-    def solve(self, qp: QpData) -> Solution:
-        """Return the solver's answer; accuracy is judged by the caller."""
+    def solve(self, qp: QpData, free: Solution | None = None) -> Solution:
+        """Return the solver's answer; accuracy is judged by the caller.
+
+        Args:
+            qp: the QP.
+            free: its minimiser without the inequalities, for those who start from there.
+        """
 
     def reset(self) -> None:
         """Forget what earlier calls left behind: the next answer is that of a new solver."""
+
+
+class ActiveSet:
+    """The minimiser without inequalities where it keeps them; else daqp's dual active-set method.
+
+    In a compiled tick, ``native/qp.c`` does both.
+    Source: Goldfarb1983; Arnstrom2022.
+    """
+
+    def __init__(self) -> None:
+        self._with_limits = QpSolvers("daqp")
+
+    def solve(self, qp: QpData, free: Solution | None = None) -> Solution:
+        """Return the solution; ``free`` itself where no inequality binds."""
+        if free is not None:
+            Cx = qp.C @ free.x
+            if (Cx >= qp.lb).all() and (Cx <= qp.ub).all():
+                return free
+        return self._with_limits.solve(qp)
+
+    def reset(self) -> None:
+        """Forget nothing: every call starts afresh."""
 
 
 class ProxSuite:
@@ -83,7 +110,7 @@ class ProxSuite:
         self._point: tuple[Any, Any, Any] = (None, None, None)
         self._last_resort = QpSolvers("daqp")
 
-    def solve(self, qp: QpData) -> Solution:
+    def solve(self, qp: QpData, free: Solution | None = None) -> Solution:
         """Return the solution, started from the last one."""
         if self._qp is None:
             self._start(qp)
@@ -122,7 +149,7 @@ class QpSolvers:
         self._name = name
         self._sparse = name not in qpsolvers.dense_solvers
 
-    def solve(self, qp: QpData) -> Solution:
+    def solve(self, qp: QpData, free: Solution | None = None) -> Solution:
         """Return the back-end's solution."""
         fixed = qp.lb == qp.ub  # as two inequalities they would depend on each other
         upper, lower = (qp.ub < UNBOUNDED) & ~fixed, (qp.lb > -UNBOUNDED) & ~fixed
@@ -163,16 +190,20 @@ NEED_STRICT_CONVEXITY = frozenset({"quadprog"})
 @functools.cache
 def solver_names() -> tuple[str, ...]:
     """Return the names that `make_solver` accepts on this machine."""
-    return ("proxsuite", *(name for name in qpsolvers.available_solvers if name != "proxqp"))
+    return (
+        "active-set",
+        "proxsuite",
+        *(name for name in qpsolvers.available_solvers if name != "proxqp"),
+    )
 
 
 def make_solver(name: str) -> Solver:
-    """Return a solver by name: ``proxsuite``, or any installed back-end of qpsolvers.
+    """Return a solver by name, one of `solver_names`.
 
     Raises:
         InputError: no such solver here.
     """
     if name not in solver_names():
         raise unknown_name("solver", name, solver_names())
-    backends: dict[str, Callable[[], Solver]] = {"proxsuite": ProxSuite}
+    backends: dict[str, Callable[[], Solver]] = {"active-set": ActiveSet, "proxsuite": ProxSuite}
     return backends.get(name, functools.partial(QpSolvers, name))()

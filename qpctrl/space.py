@@ -78,7 +78,7 @@ class SpaceTerms:
     def __init__(self, space: TaskSpace, dynamics: Dynamics, M_factor: Factor, mu: SX) -> None:
         frame = dynamics.frame(space.frame)
         index = space.index
-        self.space, self._M = space, M_factor
+        self.space = space
         self.motion = FrameMotion(space, frame.X_WF, ca.densify(frame.J @ dynamics.v))
         self.J = ca.densify(frame.J[index, :])
         self.J_dot_v = ca.densify(frame.J_dot_v[index])
@@ -88,10 +88,6 @@ class SpaceTerms:
         self.Lambda = Lambda_inv.congruence(ca.SX.eye(space.n))
         self.task_inertia = Lambda_inv.congruence(self.J)
         self.mobility_left = 1 / (ca.diag(self.Lambda) * _whole_mobility(mobility)[index])
-
-    def eta(self, h: SX) -> SX:
-        """Return η = Λ (J M⁻¹ h − J̇v) (n) [N, Nm] of the bias ``h`` (nv) [Nm]."""
-        return self.Lambda @ (self.J @ self._M.solve(h) - self.J_dot_v)
 
 
 def _whole_mobility(mobility: SX) -> SX:

@@ -27,6 +27,9 @@ from qpctrl.spatial import SX
 SINGULAR_MOBILITY = 1e-4
 """Share of the mobility left along an axis below which Λ⁻¹ is damped."""
 
+SINGULAR_DAMPING = 0.05
+"""Damping μ at the singularity itself [1/kg, 1/(kg m²)]."""
+
 PIVOT_RATIO = 1e-10
 """A row whose pivot falls below this share of its diagonal depends on the rows before it."""
 
@@ -60,7 +63,7 @@ class Tick:
     mode_rows: int
     """Number of constraint rows k, all constraints together."""
     patterns: dict[str, ca.Sparsity]
-    """Which entries of H, A and C can differ from zero."""
+    """Which entries of H, A, C and G can differ from zero."""
     has_law: bool
     """Whether closed forms exist: one task space, one motion task, B = I."""
 
@@ -94,7 +97,7 @@ def build_tick(robot: Robot, mode: Mode, form: str = "reduced") -> Tick:
         "G": G,
         "memory": model.memory_after(),
         "mobility_left": (mobility := _stack(t.mobility_left for t in model.spaces.values())),
-        "singular": _count_below(mobility, SINGULAR_MOBILITY),
+        "damping": _damping(mobility),
         "row_pivots": (pivots := _stack(split.pivot_ratios for split in splits)),
         "dependent": _count_below(pivots, PIVOT_RATIO),
         "signals": _stack(ca.vec(ca.densify(value)) for value in signals.values()),
@@ -102,10 +105,9 @@ def build_tick(robot: Robot, mode: Mode, form: str = "reduced") -> Tick:
     for i, (space, split) in enumerate(
         zip(model.spaces.values(), model.splits.values(), strict=True)
     ):
-        outputs |= {f"Lambda{i}": space.Lambda, f"eta{i}": space.eta(model.h)}
-        outputs |= {f"P{i}": split.P, f"A{i}": split.A}
+        outputs |= {f"Lambda{i}": space.Lambda, f"P{i}": split.P, f"A{i}": split.A}
     function = ca.Function(
-        f"tick_{mode.name}",
+        "tick",
         [model.dynamics.q, model.dynamics.v, model.u_vector, model.x_vector],
         [ca.densify(expression) for expression in outputs.values()],
         ["q", "v", "u", "x"],
@@ -122,7 +124,8 @@ def build_tick(robot: Robot, mode: Mode, form: str = "reduced") -> Tick:
         gives=gives,
         spaces=tuple(model.spaces),
         mode_rows=sum(split.k for split in splits),
-        patterns={name: getattr(qp, name).sparsity() for name in ("H", "A", "C")},
+        patterns={"G": G.sparsity()}
+        | {name: getattr(qp, name).sparsity() for name in ("H", "A", "C")},
         has_law=law is not None,
     )
 
@@ -166,7 +169,7 @@ def _qp_terms(model: ModeModel) -> QpTerms:
         for constraint in model.mode.constraints
         if constraint.space == space
     ]
-    limits = {key[7:]: value for key, value in u.items() if key.startswith("limits.")}
+    limits = limit.named(u)
     return QpTerms(
         H_a=H_a,
         g_a=g_a,
@@ -275,6 +278,15 @@ def _check_determined(model: ModeModel) -> None:
             f"mode {model.mode.name!r}: motion tasks fix {moved} of {model.robot.nv} freedoms; "
             "add a posture task for the rest"
         )
+
+
+def _damping(mobility_left: SX) -> SX:
+    """Return the damping μ of Λ⁻¹ that the smallest mobility asks for; 0 where none is."""
+    if mobility_left.numel() == 0:
+        return ca.SX(0)
+    smallest = ca.mmin(ca.if_else(mobility_left > 0, mobility_left, 0))  # 0 where Λ is NaN
+    damping = SINGULAR_DAMPING * ca.fmax((1 - smallest / SINGULAR_MOBILITY) ** 2, 1e-6)
+    return ca.if_else(smallest > SINGULAR_MOBILITY, 0, damping)
 
 
 def _count_below(values: SX, threshold: float) -> SX:

@@ -8,9 +8,11 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
+from qpctrl.compiled import CompileMode
 from scenarios.command import interactive, parse
-from scenarios.compare import CASES, Row, compare
+from scenarios.compare import CASES, compare
 from scenarios.console import console
+from scenarios.equivalence import Row
 from scenarios.eraser import Eraser
 from scenarios.run import run_scenario
 from scenarios.scenario import Options
@@ -22,12 +24,15 @@ class Comparing:
 
     states: int = 1000
     """Random states for each arm and number of constraint rows."""
-    solver: str = "proxsuite"
+    solver: str = "active-set"
     """Solver under test."""
-    second: str = "daqp"
+    second: str = "proxsuite"
     """Solver to agree with where limits are active."""
     form: Literal["reduced", "full"] = "reduced"
     """Variables of the QP: (a, λ) or (a, τ, λ)."""
+    compiled: CompileMode = "auto"
+    """Whether the ticks under test run as generated C; each is then compared with itself
+    interpreted."""
     seed: int = 0
     """Seed of the random states."""
     json: bool = False
@@ -58,12 +63,14 @@ def compare_command(arguments: list[str]) -> bool:
                 solver=given.solver,
                 second=given.second,
                 form=given.form,
+                compiled=given.compiled,
                 seed=given.seed,
                 watch=lambda case, done: progress.update(task, advance=50),
             )
         )
         progress.update(task, description="eraser")
-        eraser = run_scenario(Eraser(duration=2.0), Options(solver=given.solver, form=given.form))
+        how = Options(solver=given.solver, form=given.form, compiled=given.compiled)
+        eraser = run_scenario(Eraser(duration=2.0), how)
     failed = [c for row in rows for c in row.criteria() if not c.passed]
     gap = eraser.summary["metrics"]["qp_law_gap_max"]
     passed = not failed and eraser.passed
@@ -94,16 +101,20 @@ def _equivalence_table(rows: list[Row]) -> Table:
             "QP − textbook",
             "… + curvature",
             "KKT",
+            "compiled",
         ),
         *("limited", "two solvers", "singular", "unsolved"),
         box=None,
         header_style="bold",
         caption="largest over the states, relative to max |τ|; polish: what it changes in the "
-        "solver's own answer; limited: states with active torque limits; singular: Λ damped, no "
-        "equality claimed",
+        "solver's own answer; compiled: against interpreted; limited: states with active torque "
+        "limits; singular: Λ damped, no equality claimed",
     )
     for row in rows:
-        gaps = (row.law_gap, row.own_gap, row.textbook_gap, row.curvature_gap, row.kkt)
+        gaps = (
+            *(row.law_gap, row.own_gap, row.textbook_gap, row.curvature_gap),
+            *(row.kkt, row.compiled_gap),
+        )
         table.add_row(
             *(row.robot, str(row.k), str(row.states), *(f"{gap:.1e}" for gap in gaps)),
             *(str(row.limited), f"{row.solver_gap:.1e}", str(row.damped), str(row.unsolved)),

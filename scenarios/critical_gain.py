@@ -14,7 +14,8 @@ import pinocchio as pin
 
 from qpctrl.arrays import Vector, finite_array
 from qpctrl.constraint import Pfaffian
-from qpctrl.controller import Controller, Measurement
+from qpctrl.controller import Controller
+from qpctrl.memory import Measurement
 from qpctrl.errors import InputError
 from qpctrl.mode import Mode
 from qpctrl.objective import Weighted

@@ -74,8 +74,8 @@ class Options:
 
     law: Literal["qp", "hybrid", "textbook"] = "qp"
     """Whose torque is sent; the others are computed and compared."""
-    solver: str = "proxsuite"
-    """proxsuite, or an installed back-end of qpsolvers; bisections keep the default."""
+    solver: str = "active-set"
+    """active-set, proxsuite, or an installed back-end of qpsolvers; bisections keep the default."""
     form: Literal["reduced", "full"] = "reduced"
     """Variables of the QP: (a, λ) or (a, τ, λ)."""
     seed: int = 0

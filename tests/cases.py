@@ -5,6 +5,7 @@ Robots are pinocchio chains made here from a seed, so no test depends on a model
 
 import functools
 import itertools
+import shutil
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -12,6 +13,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 import pinocchio as pin
+import pytest
 from oracles import body_terms
 
 from qpctrl import (
@@ -28,6 +30,8 @@ from qpctrl import (
     Weighted,
     from_pinocchio,
 )
+from qpctrl.compiler import COMPILERS
+from qpctrl.memory import remember
 from qpctrl.objective import (
     ForceObjective,
     MotionObjective,
@@ -157,6 +161,10 @@ ROWS = [
     *itertools.product(("arm_6", "arm_7"), (0, 1, 3, 5, 6)),
 ]
 """Robots and their numbers of constraint rows k."""
+
+needs_compiler = pytest.mark.skipif(
+    not any(shutil.which(name) for name in COMPILERS), reason="needs a C compiler on PATH"
+)
 
 SOLVERS = solver_names()
 
@@ -309,7 +317,7 @@ def tick(
     mode = next(iter(controller.engines))
     memory = controller.start(mode, q)
     if tau_last is not None:
-        memory = memory._replace(tau=tau_last)
+        memory = remember(mode, tau_last, memory.q, memory.x)
     return controller.step(mode, Measurement(0.0, q, v), references, memory)
 
 

@@ -16,9 +16,9 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 import pytest
-from cases import ROBOTS, SPACES, Given, draw, given_mode, states
+from cases import ROBOTS, SPACES, draw, given_mode, needs_compiler, states
 
-from qpctrl import Controller, InputError, Measurement, Status, compiler
+from qpctrl import InputError, compiler
 from qpctrl.compiled import Compiled, compiled
 from qpctrl.compiler import COMPILERS
 from qpctrl.evaluator import Evaluator
@@ -34,7 +34,6 @@ SOON = 20.0
 """A compiler that hangs is left long before its own end [s], on a busy machine too."""
 
 CC = next((path for name in COMPILERS if (path := shutil.which(name))), "")
-needs_compiler = pytest.mark.skipif(not CC, reason="needs a C compiler on PATH")
 
 
 # Functions and compilers -------------------------------------------------------------------
@@ -593,24 +592,3 @@ def test_an_unknown_choice_is_refused_where_nobody_checks_types() -> None:
     )  # fmt: skip
     assert "qpctrl.errors.InputError" in ran.stderr
     assert "unknown compile 'maybe'; allowed: auto, no, yes" in ran.stderr
-
-
-@needs_compiler
-def test_a_compiled_controller_gives_the_same_torques() -> None:
-    robot = ROBOTS["arm_7"]()
-    modes = [given_mode(robot, SPACES["arm_7"], 3)]
-    outcomes = []
-    for compile in ("no", "yes"):
-        controller = Controller(robot, modes, compile=compile)
-        memory, sent = controller.start("contact", robot.home), []
-        for i in range(20):
-            v = 0.1 * np.sin(np.arange(7) + i)
-            given = {"motion": Given(a_cmd=np.array([1.0, 2, 3, 4, 5, 6]))}
-            command, report, memory = controller.step(
-                "contact", Measurement(1e-3 * (i + 1), robot.home, v), given, memory
-            )
-            assert report.status is Status.OK
-            sent.append(command.tau)
-        outcomes.append(np.array(sent))
-    assert np.abs(outcomes[0]).max() > 1
-    assert outcomes[0] == pytest.approx(outcomes[1], rel=1e-12)

@@ -11,7 +11,17 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 import pytest
-from cases import LAW_AGREEMENT, SOLVERS, SPACES, Given, board, chain, given_mode, planar_2r
+from cases import (
+    LAW_AGREEMENT,
+    SOLVERS,
+    SPACES,
+    Given,
+    board,
+    chain,
+    given_mode,
+    needs_compiler,
+    planar_2r,
+)
 
 from qpctrl import (
     Command,
@@ -29,6 +39,7 @@ from qpctrl import (
     TickReport,
     Weighted,
 )
+from qpctrl.compiled import CompileMode
 from qpctrl.limit import UNBOUNDED
 from qpctrl.solver import QpData, Solution, make_solver
 from tasks import (
@@ -157,13 +168,19 @@ BAD: dict[str, tuple[Measurement, dict[str, Any], tuple[Status, ...]]] = {
 }
 
 
-@pytest.mark.parametrize("solver", [s for s in SOLVERS if s in ("proxsuite", "daqp", "piqp")])
+@pytest.mark.parametrize(
+    ("solver", "compile"),
+    [
+        *((s, "no") for s in SOLVERS if s in ("active-set", "proxsuite", "daqp", "piqp")),
+        pytest.param("active-set", "yes", marks=needs_compiler),
+    ],
+)
 @pytest.mark.parametrize("what", BAD)
 def test_a_bad_tick_sends_a_finite_torque_inside_limits_and_rate_and_is_counted(
-    what: str, solver: str
+    what: str, solver: str, compile: CompileMode
 ) -> None:
     measurement, given, statuses = BAD[what]
-    controller = make_controller(solver=solver)
+    controller = make_controller(solver=solver, compile=compile)
     before = run(controller, 30)[-1]
     assert before.report.status is Status.OK
     step = Step(*controller.step("contact", measurement, given, before.memory))
@@ -391,14 +408,20 @@ def with_other_inputs(controller: Controller) -> None:
 
 def bits(step: Step) -> list[bytes]:
     """Return all numbers of a step but the solver's own torque, which proxsuite does not repeat."""
-    report = step.report._replace(tau_solver=np.zeros(0), active=(), yields=())
-    named = [(limit.name, limit.dual) for limit in step.report.active]
-    lost = [lost.amount.tobytes() for lost in step.report.yields]
+    report = step.report
+    named = [(limit.name, limit.dual) for limit in report.active]
+    lost = [lost.amount.tobytes() for lost in report.yields]
+    unsaid = {"tau_solver", "kind", "give"}  # of the last two only what binds has a meaning
+    said = [
+        report.format.layout.view(report.numbers, name).tobytes()
+        for name in report.format.layout.names
+        if name not in unsaid
+    ]
     numbers = [np.asarray(x).tobytes() for x in (*step.command, *step.memory) if x is not None]
-    return [*numbers, *(np.asarray(x).tobytes() for x in report), repr(named).encode(), *lost]
+    return [*numbers, *said, repr((report.status, report.contact, named)).encode(), *lost]
 
 
-@pytest.mark.parametrize("solver", ["proxsuite", "daqp"])
+@pytest.mark.parametrize("solver", ["active-set", "proxsuite", "daqp"])
 def test_a_controller_that_is_reset_gives_the_bits_of_a_new_one(solver: str) -> None:
     controller = make_controller(solver=solver, dt=2 * DT)
     first = pushed_to_its_limits(controller)
@@ -419,7 +442,7 @@ class OneShot:
     def __init__(self) -> None:
         self._used = False
 
-    def solve(self, qp: QpData) -> Solution:
+    def solve(self, qp: QpData, free: Solution | None = None) -> Solution:
         """Return the solution of the first QP."""
         found = make_solver("daqp").solve(qp)._replace(feasible=not self._used)
         self._used = True

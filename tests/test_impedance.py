@@ -21,6 +21,7 @@ from qpctrl import (
     TaskSpace,
     Weighted,
 )
+from qpctrl.memory import remember
 from tasks import (
     AdmittanceReference,
     AdmittanceTask,
@@ -67,9 +68,8 @@ def torque(task: ImpedanceTask | AdmittanceTask, reference, q, v, memory=()) -> 
     views = controller.engines["answer"].tick.memory.views(x)
     for name, value in dict(memory).items():
         views[f"{task.name}.{name}"][...] = value
-    found = controller.step(
-        "answer", Measurement(1e-3, q, v), {task.name: reference}, start._replace(x=x)
-    )
+    before = remember("answer", start.tau, start.q, x)
+    found = controller.step("answer", Measurement(1e-3, q, v), {task.name: reference}, before)
     assert found[1].law_gap < 1e-8
     return found[1].tau_qp
 

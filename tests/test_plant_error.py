@@ -11,13 +11,14 @@ import pytest
 
 from qpctrl import FaceOnPlane, InputError, TaskSpace
 from qpctrl.constraint import Pfaffian, PointOnPlane
-from qpctrl.controller import Controller, Measurement
+from qpctrl.controller import Controller
+from qpctrl.memory import Measurement
 from qpctrl.mode import Mode
 from qpctrl.objective import Weighted
 from scenarios.critical_gain import DT, SPACE, UNBOUNDED, WALL, one_mass
 from scenarios.disturbed_plant import DisturbedPlant, TorqueError
 from scenarios.environment import Hand, SpringWall
-from scenarios.force_sensor import ForceSensor, SensedPlant
+from scenarios.force_sensor import ForceSensor, SensedPlant, WrenchNoise
 from scenarios.joint_friction import dry_friction
 from scenarios.model_error import ModelError
 from scenarios.plant import SteppedPlant
@@ -137,6 +138,14 @@ def test_the_noise_of_the_scene_starts_again_at_a_reset(world: World) -> None:
     first, second = (plant.reset(world.robot.home).wrench_meas for _ in range(2))
     assert np.array_equal(first, second)
     assert np.abs(first).max() > 0.1
+
+
+def test_noise_is_the_stream_of_its_seed_however_much_is_drawn_at_once() -> None:
+    noise, rng = WrenchNoise(2.0, seed=4), np.random.default_rng(4)
+    expected = [[2.0, 2.0, 2.0, 0.2, 0.2, 0.2] * rng.normal(size=6) for _ in range(600)]
+    for _ in range(2):
+        assert np.array_equal([noise.draw() for _ in range(600)], expected)
+        noise.restart()
 
 
 def test_q_and_v_are_noisy_and_late_and_the_truth_is_kept() -> None:

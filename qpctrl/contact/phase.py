@@ -12,7 +12,8 @@ class ContactPhase(Enum):
     LOSS = "nothing felt where the contact was; feeling for it again"
     REGAIN = "felt again; the force ramps up anew"
 
-    @property
-    def closed(self) -> bool:
-        """Whether force can be exchanged, so that integrators may run."""
-        return self in (ContactPhase.PRESS, ContactPhase.REGAIN)
+    closed: bool
+    """Whether force can be exchanged, so that integrators may run."""
+
+    def __init__(self, _: str) -> None:
+        self.closed = self.name in ("PRESS", "REGAIN")

@@ -3,7 +3,7 @@
 import numpy as np
 
 from qpctrl.arrays import Array
-from qpctrl.controller import Law
+from qpctrl.law import Law
 from scenarios.study.system import Setting
 
 LAWS: dict[str, Law] = {"qp": "qp", "hybrid": "hybrid", "textbook": "textbook"}

@@ -17,7 +17,8 @@ import pinocchio as pin
 
 from qpctrl.arrays import Vector
 from qpctrl.constraint import Pfaffian
-from qpctrl.controller import Controller, Law
+from qpctrl.controller import Controller
+from qpctrl.law import Law
 from qpctrl.mode import Mode
 from qpctrl.objective import Weighted
 from qpctrl.robot import Robot

@@ -21,7 +21,8 @@ from qpctrl.constraint import (
     PointOnPlane,
     Selection,
 )
-from qpctrl.controller import Controller, Law
+from qpctrl.controller import Controller
+from qpctrl.law import Law
 from qpctrl.mode import Mode
 from qpctrl.objective import Weighted
 from qpctrl.robot import Robot

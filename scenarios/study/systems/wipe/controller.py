@@ -9,7 +9,8 @@ import numpy as np
 from qpctrl.arrays import Array, Vector
 from qpctrl.constraint import Constraint, FaceOnPlane, PointOnPlane
 from qpctrl.contact import Footprint, FrictionCone, MaxForce, WrenchLimit
-from qpctrl.controller import Controller, Law
+from qpctrl.controller import Controller
+from qpctrl.law import Law
 from qpctrl.mode import Mode
 from qpctrl.objective import Task, Weighted
 from qpctrl.robot import Robot
@@ -34,7 +35,7 @@ from tasks import ForceTask, ImpedanceTask, MotionTask, PostureTask
 SPACE = TaskSpace(TOOL)
 MODE = "wipe"
 
-SOLVERS = ("proxsuite", "daqp")
+SOLVERS = ("active-set", "proxsuite", "daqp")
 """What solves the QP."""
 
 LARGEST = 1.5

@@ -1,0 +1,145 @@
+"""A tick in Python, with any solver: the order of steps that native/tick.c has in C."""
+
+import math
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+
+from qpctrl.law import Law
+from qpctrl.parts import TickParts
+from qpctrl.polish import Polish, active_set
+from qpctrl.report import ACTIVE_DUAL
+from qpctrl.solver import Solution, Solver
+from qpctrl.status import BY_CODE, LIMITED, Status
+
+WELL_POLISHED = 1e-12
+"""KKT residual below which a polished solution is taken as it is."""
+
+SOLVED = 0
+INACCURATE, INFEASIBLE, NOT_FINITE, STALE, DEPENDENT_ROWS = (
+    BY_CODE.index(status)
+    for status in (
+        *(Status.INACCURATE, Status.INFEASIBLE, Status.NOT_FINITE),
+        *(Status.STALE, Status.DEPENDENT_ROWS),
+    )
+)
+
+
+class PythonTick:
+    """Runs a tick step by step."""
+
+    def __init__(self, parts: TickParts, solver: Solver, law: Law, tolerance: float) -> None:
+        self._parts, self._solver, self._law, self._tolerance = parts, solver, law, tolerance
+        self._polish = Polish(*(len(values) for values in parts.point))
+        self._torque_map = parts.torque_map
+        self._none = np.zeros(len(parts.point[2]))
+
+    def solve(self) -> int:
+        """Solve the tick whose inputs are loaded and return its code."""
+        parts, u = self._parts, self._parts.inputs["u"]
+        q, v, (time, last_time, freeze) = parts.inputs["q"], parts.inputs["v"], parts.clock.tolist()
+        if not math.isfinite(q.dot(q) + v.dot(v) + time):
+            return NOT_FINITE
+        if time <= last_time:
+            return STALE
+        if not math.isfinite(u.dot(u)):
+            return NOT_FINITE
+        parts.u["limits.tau_last"][:], parts.u["freeze"][...] = parts.tau_last, freeze
+        self._evaluate()
+        if parts.terms["dependent"][0]:
+            return DEPENDENT_ROWS
+        free = Solution(parts.terms["x_eq"], parts.terms["y_eq"], self._none)
+        rough = self._solver.solve(parts.qp, free)
+        if not rough.feasible:
+            return INFEASIBLE
+        if not self._polished(rough, free) <= self._tolerance:
+            return INACCURATE
+        return self._note(rough)
+
+    def hold(self) -> bool:
+        """Write the fallback torque, from the newest state that can be believed."""
+        parts = self._parts
+        q_last, (time, last, _) = parts.q_last, parts.clock.tolist()
+        parts.u["limits.tau_last"][:] = parts.tau_last
+        q, v = parts.inputs["q"], parts.inputs["v"]
+        known = bool(time > last and math.isfinite(time) and np.isfinite(q).all())
+        held = parts.fallback.inputs
+        held["q"][:] = parts.named["q"][:] = q if known else q_last
+        if known and np.isfinite(v).all():
+            held["v"][:] = v
+        elif known:
+            held["v"][:] = (q - q_last) / (time - last)  # zero after a start, whose time is −∞
+        else:
+            held["v"][:] = 0.0  # no damping along a velocity nobody knows
+        parts.fallback()
+        return known
+
+    def calls(self) -> dict[str, Callable[[], object]]:
+        """Return the parts of a tick as calls."""
+        parts = self._parts
+        free = Solution(parts.terms["x_eq"], parts.terms["y_eq"], self._none)
+        return {
+            "graph": parts.tick,
+            "QP": partial(self._solver.solve, parts.qp, free),
+            "certificate": parts.certificate,
+        }
+
+    def _evaluate(self) -> None:
+        """Evaluate the graph; near a singularity once more, with a damped Λ⁻¹."""
+        parts = self._parts
+        parts.u["mu"][...] = 0.0
+        parts.tick()
+        damping = parts.terms["damping"][0]
+        parts.named["damping"][0] = damping
+        if damping > 0:
+            parts.u["mu"][...] = damping
+            parts.tick()
+
+    def _polished(self, rough: Solution, free: Solution) -> float:
+        """Put the polished solution into the buffers, or the solver's own if that is better.
+
+        Returns its KKT residual.
+        """
+        qp = self._parts.qp
+        unlimited = rough is free or not (rough.z.any() or np.any(active_set(qp, rough)))
+        if unlimited and (kkt := self._residual(free)) <= WELL_POLISHED:
+            return kkt
+        polished = self._polish.on_active_set(qp, rough)
+        if (kkt := self._residual(polished)) <= WELL_POLISHED:
+            return kkt
+        if (rough_kkt := self._residual(rough)) <= kkt:
+            return rough_kkt
+        return self._residual(polished)
+
+    def _residual(self, solution: Solution) -> float:
+        """Return the KKT residual of a point, which then is in the buffers."""
+        parts = self._parts
+        (x, y, z), out = parts.point, parts.certificate.outputs
+        x[:], y[:], z[:] = solution[:3]
+        parts.certificate()
+        tau = out["tau"]
+        if not math.isfinite(x.dot(x) + y.dot(y) + z.dot(z) + tau.dot(tau)):
+            return math.inf  # the maximum in the certificate passes over NaN
+        return float(max(out["kkt"].tolist()))
+
+    def _note(self, rough: Solution) -> int:
+        """Write what the tick leaves behind and return its code."""
+        parts, named = self._parts, self._parts.named
+        x, _, z = parts.point
+        T, t = self._torque_map
+        named["tau_solver"][:] = T @ rough.x + t
+        named["lam"][:] = x[len(x) - len(named["lam"]) :]
+        named["z"][:] = z
+        named["time"][0] = parts.clock[0]
+        named["q"][:] = parts.inputs["q"]
+        if self._law == "qp":
+            named["tau"][:] = named["tau_qp"]
+        else:
+            parts.limited.inputs["tau"][:] = named[f"tau_{self._law}"]
+            parts.limited.inputs["v"][:] = parts.inputs["v"]
+            parts.limited()
+        if z.any() and np.abs(z).max() > ACTIVE_DUAL:
+            parts.explanation()
+            return LIMITED
+        return SOLVED
