@@ -115,7 +115,8 @@ def generate(functions: Sequence[ca.Function]) -> str:
 def _with_inline_extremes(code: str) -> str:
     """Return generated code whose maxima and minima are not calls into libm, half of its time."""
     for name, sign in (("fmax", ">"), ("fmin", "<")):
-        code = code.replace(f"return {name}(x, y);", f"return x {sign} y || y != y ? x : y;")
+        larger = f"double m = x {sign} y ? x : y; return y != y ? x : m;"  # what libm says of NaN
+        code = code.replace(f"return {name}(x, y);", larger)
         head = f"casadi_real casadi_{name}(casadi_real x, casadi_real y)"
         code = code.replace(head, f"static inline {head}")
     return code

@@ -61,7 +61,7 @@ class Controller:
         """
         _check_choices(form, solver, law, modes)
         self.robot, self.dt, self.law = robot, float(positive(dt, (), "dt")), law
-        tolerance = float(positive(kkt_tolerance, (), "kkt_tolerance"))
+        self.kkt_tolerance = float(positive(kkt_tolerance, (), "kkt_tolerance"))
         self.engines: dict[str, Engine] = {}
         for mode in modes:
             usable = independent(robot, mode, dependent_rows)
@@ -73,7 +73,7 @@ class Controller:
                 solver=make_solver(solver),
                 dt=self.dt,
                 law=law,
-                tolerance=tolerance,
+                tolerance=self.kkt_tolerance,
                 compile=compile,
             )
             if law == "textbook" and not self.engines[mode.name].tick.has_law:

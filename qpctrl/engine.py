@@ -12,6 +12,7 @@ from qpctrl.errors import InputError, unknown_name
 from qpctrl.law import Law
 from qpctrl.memory import Measurement, Memory, remember
 from qpctrl.mode import Mode
+from qpctrl.native_step import QuickStep, quick_step
 from qpctrl.native_tick import NativeTick, native_library
 from qpctrl.objective import Reference
 from qpctrl.parts import Runner, TickParts, build_functions
@@ -26,6 +27,9 @@ from qpctrl.tick import build_tick
 OK = Status.OK
 
 new = tuple.__new__  # of a named tuple; its own constructor takes a quarter of a microsecond more
+
+
+_NO_PLACES: tuple[dict[str, Any], dict[str, Array]] = ({}, {})
 
 
 class Engine:
@@ -70,6 +74,9 @@ class Engine:
         )
         self._solve = self._runner.solve
         self._bind(robot)
+        self._quick: QuickStep | None = None
+        if isinstance(self._runner, NativeTick):
+            self._quick = quick_step(self._runner, self.parts, self.format)
         self.reset()
 
     def _bind(self, robot: Robot) -> None:
@@ -81,11 +88,14 @@ class Engine:
         self._last, self._clock = _quick(parts.last), _quick(parts.clock)
         self._nu, self._remembered = robot.nu, len(parts.last)
         self.inputs = parts.u
-        self._vectors: dict[str, dict[str, Any]] = {}
+        self._places: dict[str, tuple[dict[str, Any], dict[str, Array]]] = {}
         for name, array in self.inputs.items():
             task, dot, own = name.partition(".")
-            if dot and array.ndim == 1:
-                self._vectors.setdefault(task, {})[own] = _quick(array)
+            vectors, others = self._places.setdefault(task, ({}, {})) if dot else ({}, {})
+            if array.ndim == 1:
+                vectors[own] = _quick(array)
+            else:
+                others[own] = array
         self._numbers = parts.numbers
         self._has_rows = self.tick.mode_rows > 0
         self._name = self.tick.mode.name
@@ -124,6 +134,18 @@ class Engine:
         Raises:
             InputError: unknown task or input, or an array of the wrong shape.
         """
+        if self._quick is not None:
+            done = self._quick(measurement, references, memory)
+            if not isinstance(done, int):
+                return done
+            if done > LIMITED:
+                return self._hold(done, measurement, memory)
+        return self._step(measurement, references, memory)
+
+    def _step(
+        self, measurement: Measurement, references: Mapping[str, Reference], memory: Memory
+    ) -> tuple[Command, TickReport, Memory]:
+        """Do the same in Python, whatever is given."""
         time, q, v, contact = measurement
         try:
             self._q[:], self._v[:], self._last[:] = q, v, memory.packed
@@ -169,11 +191,16 @@ class Engine:
 
     def _refer(self, task: str, reference: Reference) -> None:
         """Write what a task shall follow into the buffers."""
-        places = self._vectors.get(task, {})
+        vectors, others = self._places.get(task, _NO_PLACES)
         for name, value in reference.arrays().items():
             try:
-                places[name][:] = value
-            except (KeyError, TypeError, ValueError):  # no vector, or none of float64, or unknown
+                if name in vectors:
+                    vectors[name][:] = value
+                elif value.shape == others[name].shape:
+                    others[name][...] = value
+                else:
+                    self._put(f"{task}.{name}", value)
+            except (AttributeError, KeyError, TypeError, ValueError):  # no array, or no such input
                 self._put(f"{task}.{name}", value)
 
     def _put_state(self, q: ArrayLike, v: ArrayLike) -> None:

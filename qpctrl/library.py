@@ -22,7 +22,9 @@ Load = Callable[[Path], Loaded]
 """Loads a library and tries it; NotCompiledError where it cannot be trusted."""
 
 
-def recalled_or_built(source: str, load: Load[Loaded], cache: Path | None) -> tuple[Loaded, str]:
+def recalled_or_built(
+    source: str, load: Load[Loaded], cache: Path | None, options: tuple[str, ...] = ()
+) -> tuple[Loaded, str]:
     """Return the loaded library of ``source``, and in one line how it came about.
 
     Args:
@@ -31,12 +33,14 @@ def recalled_or_built(source: str, load: Load[Loaded], cache: Path | None) -> tu
         cache: folder of kept libraries; by default ``$QPCTRL_CACHE``, else
             ``$XDG_CACHE_HOME/qpctrl``, else ``~/.cache/qpctrl``. Its libraries are run: where
             it cannot be used, or anyone may write to it, nothing is kept.
+        options: flags of the compiler beside its own.
 
     Raises:
         NotCompiledError: there is no compiler that works, or its library cannot be trusted.
         OSError: there is no place to compile in.
     """
     started, compiler = time.perf_counter(), find_compiler()
+    compiler = compiler._replace(flags=(*compiler.flags, *options))
     key, by = compiler.key(source), f"compiled by {compiler.identity}"
     folder, refused = None, ""
     try:

@@ -96,6 +96,7 @@ class NativeTick:
         self._kept += [work, iwork, rough]
         tick = _Tick(**given)
         self._library, self._tick = library, tick
+        self.owner: object = self._kept
         pointer = ctypes.addressof(tick)
         library.qpctrl_solve.argtypes = library.qpctrl_hold.argtypes = (_POINTER,)
         self.solve = partial(library.qpctrl_solve, pointer)
@@ -104,6 +105,12 @@ class NativeTick:
     def hold(self) -> bool:
         """Write the fallback torque; return whether the measured configuration is believed."""
         return bool(self._hold())
+
+    @property
+    def addresses(self) -> tuple[int, int]:
+        """Return where the tick and the function that solves it are in memory."""
+        solve = ctypes.cast(self._library.qpctrl_solve, _POINTER).value
+        return ctypes.addressof(self._tick), solve or 0
 
     def calls(self) -> dict[str, Callable[[], object]]:
         """Return the parts of a tick as calls; ``call`` is all of them, ``nothing`` none."""

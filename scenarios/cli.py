@@ -13,9 +13,11 @@ from rich.table import Table
 from qpctrl.errors import InputError, QpctrlError, unknown_name
 from scenarios.catalogue import SCENARIOS
 from scenarios.cli_actuator import actuator_command
+from scenarios.cli_bench import bench_command
 from scenarios.cli_compare import compare_command
 from scenarios.cli_compare_actuators import compare_actuators_command
 from scenarios.cli_constraints import constraints_command
+from scenarios.cli_export import export_command
 from scenarios.cli_report import report_command
 from scenarios.cli_run import run_command
 from scenarios.cli_study import study_command
@@ -33,6 +35,8 @@ commands:
   actuator NAME               data sheet of a joint drive, against its transfer function
   study NAME                  what a wrong constraint costs, over a range of errors
   report DIR                  the report of a study once more, finished or not
+  export SCENARIO             its controller as C99, with a recorded run to replay
+  bench                       where the time of a control tick goes, beside its peers
 
 examples:
   qpctrl run eraser --force 15 --speed 0.1 --out runs/slow
@@ -43,6 +47,8 @@ examples:
   qpctrl actuator orange-elastic
   qpctrl study tilt
   qpctrl report runs/study-tilt
+  qpctrl export eraser --duration 1
+  qpctrl bench --quick --out runs/bench
 """
 
 
@@ -80,6 +86,8 @@ def _dispatch(arguments: list[str]) -> bool:
         "actuator": actuator_command,
         "study": study_command,
         "report": report_command,
+        "export": export_command,
+        "bench": bench_command,
     }
     if not arguments:
         raise InputError(f"missing COMMAND; allowed: {', '.join(commands)}, --help")

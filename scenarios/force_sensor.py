@@ -2,6 +2,7 @@
 
 import math
 from collections import deque
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import final
 
@@ -10,6 +11,37 @@ import numpy as np
 from qpctrl.arrays import Vector, Wrench, finite_array, non_negative, positive
 from qpctrl.errors import InputError
 from scenarios.plant import Plant, PlantState
+
+NOISE_BLOCK = 256
+"""Ticks whose noise is drawn at once."""
+
+
+@final
+class WrenchNoise:
+    """White noise of a wrench, tick by tick."""
+
+    def __init__(self, force: float, seed: int) -> None:
+        """Describe the noise.
+
+        Args:
+            force: standard deviation of each force [N]; moments get a tenth of the number [Nm].
+            seed: of its random numbers.
+        """
+        self._size, self._seed = force * np.array([1, 1, 1, 0.1, 0.1, 0.1]), seed
+        self.restart()
+
+    def restart(self) -> None:
+        """Begin anew: the same numbers come again."""
+        self._rng = np.random.default_rng(self._seed)
+        self._drawn: Iterator[Wrench] = iter(())
+
+    def draw(self) -> Wrench:
+        """Return the noise of the next tick (6) [N, Nm]."""
+        noise = next(self._drawn, None)
+        if noise is None:
+            self._drawn = iter(self._size * self._rng.normal(size=(NOISE_BLOCK, 6)))
+            return next(self._drawn)
+        return noise
 
 
 @final
@@ -42,8 +74,8 @@ class SensedPlant:
     """A plant seen through a force-torque sensor; the true wrench stays beside the reading."""
 
     def __init__(self, plant: Plant, sensor: ForceSensor, seed: int = 0) -> None:
-        self._plant, self._sensor, self._seed = plant, sensor, seed
-        self._noise = sensor.noise * np.array([1, 1, 1, 0.1, 0.1, 0.1])
+        self._plant, self._sensor = plant, sensor
+        self._noise = WrenchNoise(sensor.noise, seed)
         self._start()
 
     def reset(self, q: Vector) -> PlantState:
@@ -56,7 +88,7 @@ class SensedPlant:
         return self._sense(self._plant.step(tau))
 
     def _start(self) -> None:
-        self._rng = np.random.default_rng(self._seed)
+        self._noise.restart()
         self._past: deque[Wrench] = deque(maxlen=self._sensor.delay + 1)
         self._smooth: Wrench | None = None
         self._time = 0.0
@@ -65,7 +97,7 @@ class SensedPlant:
         self._past.append(state.wrench)
         reading = self._sensor.gain * self._past[0] + self._sensor.bias
         if self._sensor.noise > 0:
-            reading = reading + self._noise * self._rng.normal(size=6)
+            reading = reading + self._noise.draw()
         if self._sensor.cutoff > 0:
             reading = self._filtered(reading, state.time)
         return state._replace(wrench_meas=reading)

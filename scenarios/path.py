@@ -1,10 +1,12 @@
-"""Paths on a plane, travelled at constant speed with smooth starts and stops."""
+"""Paths on a plane, travelled at constant speed with smooth starts and stops; laid out ahead."""
 
-from typing import NamedTuple
+from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
+import pinocchio as pin
 
-from qpctrl.arrays import Matrix, Vector
+from qpctrl.arrays import Array, Matrix, Vector
+from tasks import MotionReference
 
 
 class PlanarMotion(NamedTuple):
@@ -64,17 +66,28 @@ def wiping_loops(
     )
 
 
-class Glide(NamedTuple):
-    """A straight move of unit length at one time: fraction done and its derivatives."""
-
-    s: float
-    s_dot: float
-    s_ddot: float
+Number = TypeVar("Number", float, Vector)
 
 
-def glide(t: float, duration: float) -> Glide:
+class Glide(NamedTuple, Generic[Number]):
+    """A straight move of unit length at one time, or at many: fraction done and derivatives."""
+
+    s: Number
+    s_dot: Number
+    s_ddot: Number
+
+
+def glide(t: float, duration: float) -> Glide[float]:
     """Return the quintic from rest to rest at time ``t`` of ``duration`` [s]."""
-    x = min(max(t / duration, 0.0), 1.0)
+    return _quintic(min(max(t / duration, 0.0), 1.0), duration)
+
+
+def glides(times: Vector, duration: float) -> Glide[Vector]:
+    """Return what `glide` returns at each of ``times`` [s]."""
+    return _quintic(np.clip(times / duration, 0.0, 1.0), duration)
+
+
+def _quintic(x: Number, duration: float) -> Glide[Number]:
     return Glide(
         x**3 * (10 - 15 * x + 6 * x * x),
         30 * x**2 * (1 - x) ** 2 / duration,
@@ -84,6 +97,50 @@ def glide(t: float, duration: float) -> Glide:
 
 def _trapezoid(time: Vector, speed: float, ramp: float) -> tuple[Vector, Vector]:
     """Return speed and acceleration that rise and fall as quintics."""
-    rise = np.array([glide(t, ramp) for t in time])
-    fall = np.array([glide(t - (time[-1] - ramp), ramp) for t in time])
-    return speed * (rise[:, 0] - fall[:, 0]), speed * (rise[:, 1] - fall[:, 1])
+    rise, fall = glides(time, ramp), glides(time - (time[-1] - ramp), ramp)
+    return speed * (rise.s - fall.s), speed * (rise.s_dot - fall.s_dot)
+
+
+class Track(NamedTuple):
+    """A motion laid out ahead, one row a period; it goes on as fast as it ends."""
+
+    X_WD: Array
+    """Poses [R p] (periods×3×4) [1, m]."""
+    V_des: Matrix
+    """Body twists (periods×6) [m/s, rad/s]."""
+    V_dot_des: Matrix
+    """Their derivatives (periods×6) [m/s², rad/s²]."""
+    dt: float
+    """Period [s]."""
+    comes_to_rest: bool
+    """Whether it ends at rest."""
+
+    def at(self, t: float) -> MotionReference:
+        """Return the reference of the period that begins next to ``t`` [s]."""
+        X_WD, V_des, V_dot_des, dt, comes_to_rest = self
+        i, last = round(t / dt), len(V_des) - 1
+        if 0 <= i <= last:
+            return MotionReference(X_WD=X_WD[i], V_des=V_des[i], V_dot_des=V_dot_des[i])
+        if i < 0 or comes_to_rest:
+            return self.at(0.0 if i < 0 else last * dt)
+        end = X_WD[last].copy()
+        end[:, 3] += end[:, :3] @ ((i - last) * dt * V_des[last, :3])
+        return MotionReference(X_WD=end, V_des=V_des[last], V_dot_des=V_dot_des[last])
+
+
+def lay_out(X_WE: pin.SE3, p_E: Matrix, v_E: Matrix, a_E: Matrix, dt: float) -> Track:
+    """Return the track of a frame that keeps the orientation of E, a frame at rest.
+
+    Args:
+        X_WE: pose of E in the world.
+        p_E: positions (periods×3) [m], along the axes of E.
+        v_E: velocities (periods×3) [m/s].
+        a_E: accelerations (periods×3) [m/s²].
+        dt: period [s].
+    """
+    rows = np.zeros((len(p_E), 24))  # in the order of a task's inputs: poses column by column
+    X_WD = rows[:, :12].reshape(-1, 4, 3).transpose(0, 2, 1)
+    V_des, V_dot_des = rows[:, 12:18], rows[:, 18:]
+    X_WD[:, :, :3], X_WD[:, :, 3] = X_WE.rotation, X_WE.translation + p_E @ X_WE.rotation.T
+    V_des[:, :3], V_dot_des[:, :3] = v_E, a_E
+    return Track(X_WD, V_des, V_dot_des, dt, comes_to_rest=not v_E[-1].any())

@@ -7,6 +7,7 @@ import numpy as np
 import pinocchio as pin
 
 from qpctrl.arrays import Vector, Wrench, non_negative, positive
+from scenarios.force_sensor import WrenchNoise
 from scenarios.model_error import ModelError
 from scenarios.plant import PlantState
 from scenarios.plant_model import frame_pose
@@ -69,21 +70,14 @@ class MujocoPlant:
             mujoco.mj_setConst(self._model, self._data)  # contacts are as stiff as inertia says
         if model_error is not None:
             model_error.perturb_mujoco(self._model, frame)
-        self._sensor = WrenchSensor(*_tool(self._model, frame))
-        site = self._model.site(SENSOR).id
-        self._R_WS = self._data.site_xmat[site].reshape(3, 3)
-        self._channels = {
-            name: self._data.sensor(f"qpctrl/{name}").data
-            for name in ("force", "torque", "accelerometer", "gyro", "angular acceleration")
-        }
+        self._sensor = WrenchSensor(*_tool(self._model, frame), _reading(self._data))
         self._tau, self._q, self._v = self._data.qfrc_applied, self._data.qpos, self._data.qvel
-        self._noise = force_noise * np.array([1, 1, 1, 0.1, 0.1, 0.1])
-        self._seed, self._rng = seed, np.random.default_rng(seed)
+        self._noise, self._noisy = WrenchNoise(force_noise, seed), bool(force_noise > 0)
 
     def reset(self, q: Vector) -> PlantState:
         """Return the state at rest in ``q`` (nq), held against gravity."""
         mujoco.mj_resetData(self._model, self._data)
-        self._rng = np.random.default_rng(self._seed)
+        self._noise.restart()
         self._q[:] = q
         mujoco.mj_forward(self._model, self._data)
         self._tau[:] = self._data.qfrc_bias
@@ -103,27 +97,10 @@ class MujocoPlant:
 
     def read(self) -> PlantState:
         """Return what the sensors say, with new noise; wrench as of the start of the period."""
-        data, read = self._data, self._channels
-        wrench = self._sensor.wrench_on_env(
-            ToolReading(
-                force=read["force"],
-                moment=read["torque"],
-                acceleration=read["accelerometer"],
-                angular_velocity=read["gyro"],
-                angular_acceleration=self._R_WS.T @ read["angular acceleration"],
-            )
-        )
-        measured = wrench
-        if self._noise[0] > 0:
-            measured = wrench + self._noise * self._rng.normal(size=6)
-        return PlantState(
-            time=float(data.time),
-            q=self._q.copy(),
-            v=self._v.copy(),
-            wrench_meas=measured,
-            wrench=wrench,
-            touching=bool(data.ncon > 0),
-        )
+        data, wrench = self._data, self._sensor.wrench_on_env()
+        measured = wrench + self._noise.draw() if self._noisy else wrench
+        q, v = self._q.copy(), self._v.copy()
+        return PlantState(data.time, q, v, measured, wrench, touching=data.ncon > 0)
 
     def push_tool(self, F_W: Wrench) -> None:
         """Apply a wrench (6) [N, Nm], world axes, to the eraser at the tool point from now on."""
@@ -163,6 +140,13 @@ def _rub(model: mujoco.MjModel, friction: Vector | float, damping: Vector | floa
         model.dof_solimp[:, :2] = STIFFEST
     if viscous.any():
         model.dof_damping[:] = viscous
+
+
+def _reading(data: mujoco.MjData) -> ToolReading:
+    """Return where the simulator writes what the sensors say."""
+    names = ("force", "torque", "accelerometer", "gyro", "angular acceleration")
+    channels = [data.sensor(f"qpctrl/{name}").data for name in names]
+    return ToolReading._make([*channels, data.site(SENSOR).xmat.reshape(3, 3).T])
 
 
 def _tool(model: mujoco.MjModel, frame: str) -> tuple[pin.Inertia, pin.SE3]:

@@ -8,10 +8,12 @@ gravity, as an accelerometer reads it.
 
 from typing import NamedTuple
 
-import numpy as np
+import casadi as ca
 import pinocchio as pin
 
-from qpctrl.arrays import Vector, Wrench
+from qpctrl.arrays import Matrix, Vector, Wrench
+from qpctrl.evaluator import Evaluator
+from qpctrl.spatial import SX, force_cross
 
 
 class ToolReading(NamedTuple):
@@ -26,48 +28,38 @@ class ToolReading(NamedTuple):
     angular_velocity: Vector
     """Gyro (3) [rad/s]."""
     angular_acceleration: Vector
-    """Angular acceleration (3) [rad/s²]."""
+    """Angular acceleration (3) [rad/s²], along the axes of the world."""
+    R_SW: Matrix
+    """Orientation of the world in the sensor frame (3×3)."""
 
 
 class WrenchSensor:
     """Turns readings into the wrench on the environment in the tool frame."""
 
-    def __init__(self, tool: pin.Inertia, X_ST: pin.SE3) -> None:
-        """Describe the tool.
+    def __init__(self, tool: pin.Inertia, X_ST: pin.SE3, reading: ToolReading) -> None:
+        """Describe the tool and the sensors.
 
         Args:
             tool: inertia Y of everything beyond the sensor, in the sensor frame S.
             X_ST: pose of the tool frame T in S.
+            reading: where the sensors write what they say, to be read in place.
         """
-        to_tool = X_ST.inverse().toDualActionMatrix()
-        turning = np.stack([_gyroscopic(tool, i, j) for i, j in _PAIRS], axis=1)
-        self._map = to_tool @ np.hstack([np.eye(6), -tool.matrix(), -turning])
+        self._evaluate = Evaluator(_wrench_function(tool, X_ST), shared=reading._asdict())
+        self._wrench: Wrench = self._evaluate.outputs["wrench"]
 
-    def wrench_on_env(self, reading: ToolReading) -> Wrench:
-        """Return the wrench of robot on environment (6) [N, Nm], at T along its axes.
-
-        Linear in forces and accelerations, and in the products ω_i ω_j of V ×* Y V.
-        """
-        x, y, z = reading.angular_velocity.tolist()
-        products = (x * x, y * y, z * z, x * y, x * z, y * z)
-        return self._map @ np.concatenate(
-            (
-                *(reading.force, reading.moment),
-                *(reading.acceleration, reading.angular_acceleration, products),
-            )
-        )
+    def wrench_on_env(self) -> Wrench:
+        """Return the wrench of robot on environment (6) [N, Nm], at T along its axes."""
+        self._evaluate()
+        return self._wrench.copy()
 
 
-_PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
-
-
-def _gyroscopic(tool: pin.Inertia, i: int, j: int) -> Wrench:
-    """Return the coefficient (6) of ω_i ω_j in V ×* Y V, V = (0, ω)."""
-
-    def wrench(*axes: int) -> Wrench:
-        omega = np.zeros(3)
-        omega[list(axes)] = 1.0
-        V = pin.Motion(np.zeros(3), omega)
-        return V.cross(tool * V).vector
-
-    return wrench(i) if i == j else wrench(i, j) - wrench(i) - wrench(j)
+def _wrench_function(tool: pin.Inertia, X_ST: pin.SE3) -> ca.Function:
+    """Return the wrench as a function of the fields of a `ToolReading`."""
+    sizes = dict.fromkeys(ToolReading._fields, (3, 1)) | {"R_SW": (3, 3)}
+    read = {name: SX.sym(name, *size) for name, size in sizes.items()}
+    V = ca.vertcat(SX.zeros(3), read["angular_velocity"])
+    A = ca.vertcat(read["acceleration"], read["R_SW"] @ read["angular_acceleration"])
+    Y = SX(tool.matrix())
+    rest = ca.vertcat(read["force"], read["moment"]) - (Y @ A + force_cross(V, Y @ V))
+    F = ca.densify(SX(X_ST.inverse().toDualActionMatrix()) @ rest)
+    return ca.Function("wrench", list(read.values()), [F], list(read), ["wrench"], {"cse": True})

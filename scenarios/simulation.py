@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 import polars as pl
 
-from qpctrl.controller import Measurement
+from qpctrl.memory import Measurement
 from scenarios.plant import PlantState
 from scenarios.record import Record, Tick
 from scenarios.scenario import Experiment
@@ -47,6 +47,8 @@ def simulate(
         until: ends the run at a state for which it is true.
     """
     controller, plant, guide = experiment.controller, experiment.plant, experiment.guide
+    B = controller.robot.B
+    all_driven = np.array_equal(B, np.eye(len(B)))
     state = plant.reset(experiment.q_start)
     kept = Record(controller, driven=state.joints is not None) if record is None else record
     memory = controller.start(experiment.start_mode, experiment.q_start)
@@ -65,7 +67,7 @@ def simulate(
                     directive.mode, measurement, directive.references, memory
                 )
                 tick_us = (clock() - started) / 1e3
-                after = plant.step(controller.robot.B @ command.tau)
+                after = plant.step(command.tau if all_driven else B @ command.tau)
                 kept.add(Tick(directive, state, command, report, tick_us, after.joints))
                 state = after
                 ticks += 1

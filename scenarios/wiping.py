@@ -1,8 +1,8 @@
 """The job of wiping as phases: approach, touch, press, wipe, release, lift."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -10,13 +10,14 @@ import pinocchio as pin
 from qpctrl.arrays import Matrix, Vector, Wrench
 from qpctrl.contact import ContactLife, ContactPhase
 from qpctrl.objective import Reference
-from scenarios.path import PlanarMotion, glide, wiping_loops
+from scenarios.path import PlanarMotion, Track, glides, lay_out, wiping_loops
 from scenarios.plant import PlantState
 from scenarios.scenario import Directive
 from tasks import EnergyReference, ForceReference, MotionReference
 
 APPROACH_TIME = 1.0  # s, from home to just in front of the board
 STAND_OFF = 0.006  # m, where the slow touch begins
+SET_OFF_TIME = 0.1  # s, from rest to the speed of the touch
 TOUCH_SPEED = 0.02  # m/s at most; a light touch is slower
 SPEED_PER_FORCE = 2e-3  # m/s for each N of set-point: slow enough for the impact to stay below it
 TOUCH_FORCE = 0.5  # N at most, measured, that counts as contact
@@ -29,8 +30,10 @@ RELEASE_TIME = 0.3  # s, to ramp the force down
 LIFT_TIME = 0.8  # s
 LIFT_DISTANCE = 0.05  # m
 
-_REST = np.zeros(3)
+# Members of an Enum take 0.1 µs to look up, more than all that is done with them in a tick.
+_PRESS, _LOSS, _REGAIN = ContactPhase.PRESS, ContactPhase.LOSS, ContactPhase.REGAIN
 _INWARD = np.array([0.0, 0.0, 1.0])
+_INWARD_TWIST = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -60,20 +63,52 @@ class WipingPlan:
     the touch."""
     loops: PlanarMotion = field(init=False)
     """Path on the board, in the x-y plane of E."""
-    p_E: Matrix = field(init=False)
-    """Position on the path (samples×3) [m], along the axes of E."""
-    v_E: Matrix = field(init=False)
-    """Velocity (samples×3) [m/s]."""
-    a_E: Matrix = field(init=False)
-    """Acceleration (samples×3) [m/s²]."""
+    tracks: dict[str, Track] = field(init=False)
+    """Motion of the tool in each phase, aligned with the board."""
 
     def __post_init__(self) -> None:
         loops = wiping_loops(self.speed, self.duration, self.dt)
         if self.start_on_board:
             loops = loops._replace(p=loops.p - loops.p[0])
         object.__setattr__(self, "loops", loops)
-        for name, planar in (("p_E", loops.p), ("v_E", loops.v), ("a_E", loops.a)):
-            object.__setattr__(self, name, np.pad(planar, ((0, 0), (0, 1))))
+        object.__setattr__(self, "tracks", self._lay_out())
+
+    def _lay_out(self) -> dict[str, Track]:
+        """Return the tracks of all phases."""
+        origin = self.X_WT_home if self.start_on_board else self.X_WE
+        X_WE = pin.SE3(self.X_WE.rotation, origin.translation)
+        home = X_WE.actInv(self.X_WT_home.translation)
+        p_E, v_E, a_E = (np.pad(planar, ((0, 0), (0, 1))) for planar in self.loops)
+        begin, end = p_E[0], p_E[-1]
+        before_board = begin - STAND_OFF * _INWARD
+
+        def along(start: Vector, way: Vector, *shares: Vector) -> Track:
+            """Return a track along ``way`` (3) [m], of which shares are done."""
+            p, v, a = (np.outer(share, way) for share in shares)
+            return lay_out(X_WE, start + p, v, a, self.dt)
+
+        def gliding(start: Vector, way: Vector, duration: float) -> Track:
+            return along(start, way, *glides(self._times(duration), duration))
+
+        return {
+            "approach": gliding(home, before_board - home, APPROACH_TIME),
+            "touch": along(before_board, self.touch_speed * _INWARD, *self._setting_off()),
+            "press": along(begin, _INWARD, *np.zeros((3, 1))),
+            "wipe": lay_out(X_WE, p_E, v_E, a_E, self.dt),
+            "release": along(end, _INWARD, *np.zeros((3, 1))),
+            "lift": gliding(end, -LIFT_DISTANCE * _INWARD, LIFT_TIME),
+        }
+
+    def _setting_off(self) -> Matrix:
+        """Return distance, speed and acceleration (3×periods) per unit of speed, from rest on."""
+        t = self._times(SET_OFF_TIME)
+        x = t / SET_OFF_TIME
+        distance, change = SET_OFF_TIME * (x**3 - x**4 / 2), (6 * x - 6 * x**2) / SET_OFF_TIME
+        return np.stack([distance, 3 * x**2 - 2 * x**3, change])
+
+    def _times(self, duration: float) -> Vector:
+        """Return the times [s] of the periods of a phase, its end included."""
+        return np.arange(round(duration / self.dt) + 1) * self.dt
 
     @property
     def touch_speed(self) -> float:
@@ -94,17 +129,6 @@ class WipingPlan:
     def longest(self) -> float:
         """Time [s] after which the job counts as failed."""
         return self.duration + 10.0 + STAND_OFF / self.touch_speed
-
-
-class Move(NamedTuple):
-    """Where the tool shall be, and how it shall move there, along the axes of E."""
-
-    p_E: Vector
-    """Position (3) [m]."""
-    v_E: Vector = _REST
-    """Velocity (3) [m/s]."""
-    a_E: Vector = _REST
-    """Acceleration (3) [m/s²]."""
 
 
 class WipingGuide:
@@ -131,17 +155,15 @@ class WipingGuide:
         self._phase = "press" if plan.start_on_board else "approach"
         self.contact = self._life.start(0.0, closed=plan.start_on_board)
         self._since = self._depth = 0.0  # the depth is that of the board behind its plan
-        origin = plan.X_WT_home if plan.start_on_board else plan.X_WE
-        self._origin, self._R_WE = origin.translation, plan.X_WE.rotation
-        self._before_board = plan.p_E[0] - STAND_OFF * _INWARD
-        self._moves = {
-            "approach": self._approach,
-            "touch": self._touch,
-            "press": self._press,
-            "wipe": self._wipe,
-            "release": self._release,
-            "lift": self._lift,
+        self._surface = plan.tracks["press"].at(0.0).X_WD
+        self._durations = {
+            **{"approach": APPROACH_TIME, "press": PRESS_TIME, "wipe": plan.duration},
+            **{"release": RELEASE_TIME, "lift": LIFT_TIME},
         }
+        self._F_press, self._F_release = (f * _INWARD_TWIST for f in (plan.force, plan.touch_force))
+        self._gains, self._landing_gains = (
+            {"damping": np.array(plan.damping * factor)} for factor in (1.0, REGAIN_DAMPING)
+        )
 
     def direct(self, state: PlantState) -> Directive | None:
         """Return what to do at ``state``, or none when the eraser is lifted off."""
@@ -150,10 +172,7 @@ class WipingGuide:
         self._advance(state.time)
         if self._phase == "done":
             return None
-        move = self._moves[self._phase](state.time - self._since)
-        if self.contact.phase is ContactPhase.LOSS:
-            move = self._search(state, move)
-        references: dict[str, Reference] = {"motion": self._reference(move)}
+        references: dict[str, Reference] = {"motion": self._motion(state)}
         if not self.contact.closed:
             references["force"] = EnergyReference(F_meas=state.wrench_meas)
             return Directive(self._phase, "free", references, self.contact.phase)
@@ -161,18 +180,9 @@ class WipingGuide:
         return Directive(self._phase, "contact", references, self.contact.phase)
 
     def _advance(self, time: float) -> None:
-        t = time - self._since
-        leave = {
-            "approach": t >= APPROACH_TIME,
-            "touch": self.contact.closed,
-            "press": t >= PRESS_TIME,
-            "wipe": t >= self._plan.duration,
-            "release": t >= RELEASE_TIME or not self.contact.felt,
-            "lift": t >= LIFT_TIME,
-        }
-        if self._phase == "press" and self.contact.phase is not ContactPhase.PRESS:
+        if self._phase == "press" and self.contact.phase is not _PRESS:
             self._since = time  # the force settles anew
-        elif leave.get(self._phase, False):
+        elif self._is_over(time - self._since):
             order = (*self.phases, "done")
             following = order[order.index(self._phase) + 1]
             leaves = following == "lift" and self._plan.start_on_board  # a rigid board holds on
@@ -182,66 +192,41 @@ class WipingGuide:
         elif self._phase == "lift":
             self.contact = self._life.lift(self.contact, time)
 
+    def _is_over(self, t: float) -> bool:
+        """Return whether the phase ends ``t`` [s] after it began."""
+        if self._phase == "touch":
+            return self.contact.closed
+        if self._phase == "release" and not self.contact.felt:
+            return True
+        return t >= self._durations.get(self._phase, math.inf)
+
     def _press_with(self, F_meas: Wrench) -> ForceReference:
-        plan = self._plan
-        force = plan.touch_force if self._phase == "release" else plan.force
-        landing = self.contact.phase is ContactPhase.REGAIN
-        damping = plan.damping * (REGAIN_DAMPING if landing else 1.0)
+        landing = self.contact.phase is _REGAIN
         return ForceReference(
-            F_ref=np.array([0.0, 0.0, force, 0.0, 0.0, 0.0]),
+            F_ref=self._F_release if self._phase == "release" else self._F_press,
             F_meas=F_meas,
-            gains={"damping": np.array(damping)},
+            gains=self._landing_gains if landing else self._gains,
         )
 
-    def _search(self, state: PlantState, move: Move) -> Move:
-        """Return the move, but inward from where the tool is instead of along the board."""
-        depth = float(self._R_WE[:, 2] @ (self._pose(state.q).translation - self._origin))
-        if np.isfinite(depth):
+    def _motion(self, state: PlantState) -> MotionReference:
+        """Return the reference of a tool aligned with the board, as deep as the board is."""
+        motion = self._plan.tracks[self._phase].at(state.time - self._since)
+        lost = self.contact.phase is _LOSS
+        if not (lost or self._depth):
+            return motion
+        speed = self._search(state) if lost else 0.0
+        return MotionReference(
+            X_WD=motion.X_WD * pin.SE3(np.eye(3), self._depth * _INWARD),
+            V_des=motion.V_des + speed * _INWARD_TWIST,
+            V_dot_des=motion.V_dot_des,
+        )
+
+    def _search(self, state: PlantState) -> float:
+        """Take the depth of the tool for that of a lost board; return the speed [m/s] inward."""
+        normal, surface = self._surface.rotation[:, 2], self._surface.translation
+        depth = float(normal @ (self._pose(state.q).translation - surface))
+        if math.isfinite(depth):
             self._depth = depth
         plan = self._plan
         speed = plan.touch_speed if plan.search_speed is None else plan.search_speed
-        inward = SEARCH_SHARE * speed if self._depth < SEARCH_DEPTH else 0.0
-        return move._replace(v_E=move.v_E + inward * _INWARD)
-
-    def _approach(self, t: float) -> Move:
-        start = self._R_WE.T @ (self._plan.X_WT_home.translation - self._origin)
-        s, s_dot, s_ddot = glide(t, APPROACH_TIME)
-        way = self._before_board - start
-        return Move(start + s * way, s_dot * way, s_ddot * way)
-
-    def _touch(self, t: float) -> Move:
-        inward = self._plan.touch_speed * _INWARD
-        s, s_dot, s_ddot = _set_off(t)
-        return Move(self._before_board + s * inward, s_dot * inward, s_ddot * inward)
-
-    def _press(self, t: float) -> Move:
-        return Move(self._plan.p_E[0])
-
-    def _wipe(self, t: float) -> Move:
-        plan = self._plan
-        i = min(round(t / plan.dt), len(plan.p_E) - 1)
-        return Move(plan.p_E[i], plan.v_E[i], plan.a_E[i])
-
-    def _release(self, t: float) -> Move:
-        return Move(self._plan.p_E[-1])
-
-    def _lift(self, t: float) -> Move:
-        s, s_dot, s_ddot = glide(t, LIFT_TIME)
-        way = -LIFT_DISTANCE * _INWARD
-        return Move(self._plan.p_E[-1] + s * way, s_dot * way, s_ddot * way)
-
-    def _reference(self, move: Move) -> MotionReference:
-        """Return the reference of a tool aligned with the board, as deep as the board is."""
-        V_des, V_dot_des = np.zeros(6), np.zeros(6)
-        V_des[:3], V_dot_des[:3] = move.v_E, move.a_E
-        p_E = move.p_E + self._depth * _INWARD
-        X_WD = pin.SE3(self._R_WE, self._origin + self._R_WE @ p_E)
-        return MotionReference(X_WD=X_WD, V_des=V_des, V_dot_des=V_dot_des)
-
-
-def _set_off(t: float, ramp: float = 0.1) -> Vector:
-    """Return distance, speed and acceleration per unit of speed, from rest to steady."""
-    if t < ramp:
-        x = t / ramp
-        return np.array([ramp * (x**3 - x**4 / 2), 3 * x**2 - 2 * x**3, (6 * x - 6 * x**2) / ramp])
-    return np.array([ramp / 2 + t - ramp, 1.0, 0.0])
+        return SEARCH_SHARE * speed if self._depth < SEARCH_DEPTH else 0.0

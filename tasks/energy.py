@@ -53,8 +53,7 @@ def observe_energy(F: SX, V: SX, memory: Mapping[str, SX], dt: SX) -> ObservedEn
 
 
 @final
-@dataclass(frozen=True, kw_only=True, eq=False)
-class EnergyReference:
+class EnergyReference(NamedTuple):
     """The wrench that is measured where nothing is asked of it."""
 
     F_meas: Vector

@@ -11,8 +11,9 @@ Source: LynchPark2017 §11.5; the damping in the metric S⁻¹ is derived in doc
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import ClassVar, final
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import ClassVar, NamedTuple, final
 
 import casadi as ca
 import numpy as np
@@ -26,8 +27,7 @@ from tasks.energy import energy_memory, observe_energy
 
 
 @final
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ForceReference:
+class ForceReference(NamedTuple):
     """The wrench to press with, and the one that is measured.
 
     Both act on the environment, at the origin and along the axes of the task frame.
@@ -37,7 +37,7 @@ class ForceReference:
     """Set-point (n) [N, Nm] that the ramp runs towards."""
     F_meas: Vector
     """Measured wrench (n) [N, Nm]."""
-    gains: Mapping[str, Array] = field(default_factory=dict)
+    gains: Mapping[str, Array] = MappingProxyType({})
     """Inputs of the task to change from this tick on, by name."""
 
     def arrays(self) -> Mapping[str, Array]:

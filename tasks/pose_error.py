@@ -7,7 +7,6 @@ Source: LynchPark2017 §11.3.3.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from typing import NamedTuple, final
 
 import casadi as ca
@@ -27,32 +26,62 @@ from qpctrl.spatial import (
     motion_to_parent,
 )
 
-AT_REST = {"X_WD": np.eye(4)[:3], "V_des": np.zeros(6), "V_dot_des": np.zeros(6)}
+STILL: Twist = np.zeros(6)
+"""No motion (6) [m/s, rad/s], [m/s², rad/s²]."""
+STILL.flags.writeable = False  # references share it
+
+AT_REST = {"X_WD": np.eye(4)[:3], "V_des": STILL, "V_dot_des": STILL}
 """Inputs of a pose reference: the identity pose, at rest."""
 
 
 @final
-@dataclass(frozen=True, kw_only=True, eq=False)
 class MotionReference:
-    """Where the frame shall be, and how it shall move there."""
+    """Where the frame shall be, and how it shall move there.
 
-    X_WD: pin.SE3
-    """Desired pose of the frame in the world."""
-    V_des: Twist = field(default_factory=lambda: np.zeros(6))
-    """Desired body twist (6) [m/s, rad/s], in the desired frame."""
-    V_dot_des: Twist = field(default_factory=lambda: np.zeros(6))
-    """Its derivative (6) [m/s², rad/s²]."""
-    gains: Mapping[str, Array] = field(default_factory=dict)
-    """Inputs of the task to change from this tick on, by name."""
+    Arrays are kept as they are given: a motion that is laid out ahead, row by row, is not
+    copied at its ticks.
+    """
+
+    def __init__(
+        self,
+        *,
+        X_WD: pin.SE3 | Array,
+        V_des: Twist = STILL,
+        V_dot_des: Twist = STILL,
+        gains: Mapping[str, Array] | None = None,
+    ) -> None:
+        """Describe the reference.
+
+        Args:
+            X_WD: desired pose of the frame in the world, as SE(3) or as [R p] (3×4) [1, m].
+            V_des: desired body twist (6) [m/s, rad/s], in the desired frame.
+            V_dot_des: its derivative (6) [m/s², rad/s²].
+            gains: inputs of the task to change from this tick on, by name; default: none.
+        """
+        pose = X_WD if isinstance(X_WD, np.ndarray) else X_WD.homogeneous[:3]
+        self._arrays = {"X_WD": pose, "V_des": V_des, "V_dot_des": V_dot_des}
+        if gains:
+            self._arrays.update(gains)
 
     def arrays(self) -> Mapping[str, Array]:
         """Return the task inputs that this reference sets."""
-        return {
-            "X_WD": self.X_WD.homogeneous[:3],
-            "V_des": self.V_des,
-            "V_dot_des": self.V_dot_des,
-            **self.gains,
-        }
+        return self._arrays
+
+    @property
+    def X_WD(self) -> pin.SE3:
+        """Desired pose of the frame in the world."""
+        pose = self._arrays["X_WD"]
+        return pin.SE3(pose[:, :3], pose[:, 3])
+
+    @property
+    def V_des(self) -> Twist:
+        """Desired body twist (6) [m/s, rad/s], in the desired frame."""
+        return self._arrays["V_des"]
+
+    @property
+    def V_dot_des(self) -> Twist:
+        """Its derivative (6) [m/s², rad/s²]."""
+        return self._arrays["V_dot_des"]
 
 
 class PoseError(NamedTuple):

@@ -3,16 +3,18 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+import pinocchio as pin
 import polars as pl
 import pytest
 from runs import Ran, flags, ran
 
 from qpctrl import Status
 from scenarios.eraser import Eraser
-from scenarios.path import glide, wiping_loops
+from scenarios.path import glide, glides, wiping_loops
 from scenarios.plant import Plant, PlantState
 from scenarios.scenario import Options
 from scenarios.simulation import simulate
+from scenarios.wiping import WipingPlan
 
 SHORT = 3.0  # s of wiping
 
@@ -204,3 +206,78 @@ def test_a_glide_starts_and_ends_at_rest() -> None:
     for t in (0.3, 1.0, 1.7):
         slope = (glide(t + step, 2.0).s - glide(t - step, 2.0).s) / (2 * step)
         assert glide(t, 2.0).s_dot == pytest.approx(slope, abs=1e-8)
+
+
+def test_a_glide_at_many_times_is_that_at_each() -> None:
+    times = np.linspace(-0.5, 2.5, 31)
+    for i, at_one in enumerate(glide(float(t), 2.0) for t in times):
+        assert [part[i] for part in glides(times, 2.0)] == pytest.approx(at_one, rel=1e-14)
+
+
+def plan(*, start_on_board: bool = False) -> WipingPlan:
+    """Return a plan on a board that is turned and away."""
+    X_WE = pin.SE3(pin.utils.rotate("y", 0.7), np.array([0.5, -0.2, 0.4]))
+    return WipingPlan(
+        X_WE=X_WE,
+        X_WT_home=X_WE * pin.SE3(np.eye(3), np.array([0.01, 0.02, -0.03])),
+        force=10.0,
+        speed=0.2,
+        duration=2.0,
+        dt=1e-3,
+        damping=20.0,
+        start_on_board=start_on_board,
+    )
+
+
+def places(job: WipingPlan, phase: str, times: np.ndarray) -> np.ndarray:
+    """Return where the tool shall be on the board (times×3) [m]."""
+    track = job.tracks[phase]
+    return np.array([job.X_WE.actInv(track.at(float(t)).X_WD.translation) for t in times])
+
+
+def test_each_phase_begins_where_the_one_before_it_ends() -> None:
+    job, lift = plan(), 0.8
+    begin = {phase: places(job, phase, np.zeros(1))[0] for phase in job.tracks}
+    assert begin["approach"] == pytest.approx([0.01, 0.02, -0.03])
+    approached, lifted = places(job, "approach", [1.0])[0], places(job, "lift", [lift])[0]
+    assert begin["touch"] == pytest.approx(approached)
+    assert begin["touch"] == pytest.approx(begin["press"] - [0, 0, 0.006])
+    for phase in ("press", "wipe"):
+        assert begin[phase] == pytest.approx([*job.loops.p[0], 0])
+    wiped = places(job, "wipe", [2.0, 3.0])  # and there it stays
+    assert wiped == pytest.approx(np.array([[*job.loops.p[-1], 0]] * 2))
+    assert begin["release"] == pytest.approx(wiped[0])
+    assert begin["lift"] == pytest.approx(wiped[0])
+    assert lifted == pytest.approx(wiped[0] - [0, 0, 0.05])
+    assert places(plan(start_on_board=True), "press", [9.0])[0] == pytest.approx(
+        [0.01, 0.02, -0.03]
+    )
+
+
+@pytest.mark.parametrize("phase", ["approach", "touch", "press", "wipe", "release", "lift"])
+def test_a_track_moves_as_it_says_and_keeps_the_orientation_of_the_board(phase: str) -> None:
+    job, dt = plan(), 1e-3
+    times = np.arange(-5, 2200) * dt
+    found = [job.tracks[phase].at(float(t)) for t in times]
+    assert all(motion.X_WD.rotation == pytest.approx(job.X_WE.rotation) for motion in found)
+    p, V, A = (
+        places(job, phase, times),
+        *(np.array([getattr(motion, name) for motion in found]) for name in ("V_des", "V_dot_des")),
+    )
+    assert not np.any([V[:, 3:], A[:, 3:]])
+    inside = times[1:] > 0
+    assert np.diff(p, axis=0)[inside] / dt == pytest.approx(
+        (V[1:] + V[:-1])[inside, :3] / 2, abs=2e-5
+    )
+    assert np.diff(V, axis=0)[inside] / dt == pytest.approx((A[1:] + A[:-1])[inside] / 2, abs=4e-3)
+    assert np.array_equal(p[:5], [p[5]] * 5)  # before it begins it is at its beginning
+
+
+def test_the_touch_goes_on_at_its_speed_for_as_long_as_it_takes() -> None:
+    job = plan()
+    assert job.touch_speed == 0.02
+    way = places(job, "touch", [0.0, 0.1, 60.0])[:, 2]
+    assert np.diff(way) == pytest.approx([0.02 * 0.05, 0.02 * 59.9])
+    motion = job.tracks["touch"].at(60.0)
+    assert motion.V_des == pytest.approx([0, 0, 0.02, 0, 0, 0])
+    assert not motion.V_dot_des.any()

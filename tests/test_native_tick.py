@@ -1,5 +1,8 @@
 """The whole tick as one C call: the same outcomes, torques and words as step by step in Python."""
 
+import gc
+import resource
+import weakref
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,6 +13,7 @@ from cases import ROBOTS, SPACES, Given, given_mode, needs_compiler
 from qpctrl import (
     ContactPhase,
     Controller,
+    InputError,
     Limits,
     Measurement,
     Memory,
@@ -225,3 +229,83 @@ def test_what_a_tick_returned_stays_as_it_was() -> None:
     run(controller, 20)
     for old, now in zip(kept, (first.tau, first.report.numbers, first.memory.packed), strict=True):
         assert np.array_equal(old, now, equal_nan=True)
+
+
+def test_the_way_in_from_python_and_the_one_in_c_give_the_same_bits() -> None:
+    quick, plain = make("yes"), make("yes")
+    for engine in plain.engines.values():
+        assert engine._quick is not None  # this machine has the headers
+        engine._quick = None
+    for i, (one, two) in enumerate(zip(run(quick), run(plain), strict=True)):
+        assert one.report.status is two.report.status, i
+        assert one.tau.tobytes() == two.tau.tobytes()
+        assert one.report.limited is two.report.limited
+        assert one.report.contact is two.report.contact
+        assert one.memory.packed.tobytes() == two.memory.packed.tobytes()
+        assert repr(one.memory[2:]) == repr(two.memory[2:])
+        if one.report.status is Status.OK:
+            layout = one.report.format.layout
+            for name in ("tau_qp", "kkt", "gaps", "z", "signals", "time", "damping"):
+                ours, theirs = (layout.view(s.report.numbers, name) for s in (one, two))
+                assert ours.tobytes() == theirs.tobytes(), name
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"q": np.zeros(6)}, "q: got shape"),
+        ({"v": np.zeros((7, 1))}, "v: got shape"),
+        ({"v": np.full(7, 0.01, dtype=np.float32)}, ""),
+        ({"v": [0.01] * 7}, ""),
+        ({"v": np.full(14, 0.01)[::2]}, ""),
+    ],
+)
+def test_odd_measurements_are_taken_or_refused_as_in_python(
+    change: dict[str, Any], message: str
+) -> None:
+    controller = make("yes")
+    memory = controller.start("contact", controller.robot.home)
+    seen = measured(0, controller.robot)._replace(**change)
+    if message:
+        with pytest.raises(InputError, match=message):
+            controller.step("contact", seen, references(0, controller.robot), memory)
+        return
+    command, report, _ = controller.step("contact", seen, references(0, controller.robot), memory)
+    plain = make("no")
+    expected, _, _ = plain.step("contact", seen, references(0, plain.robot), memory)
+    assert report.status is Status.OK
+    assert command.tau == pytest.approx(expected.tau, rel=SAME)
+
+
+def test_unknown_tasks_and_inputs_are_named() -> None:
+    controller = make("yes")
+    memory = controller.start("contact", controller.robot.home)
+    for given, name in (
+        ({"motoin": Given(X=np.zeros(3))}, "motoin.X"),
+        ({"motion": Given(K_q=np.zeros(6))}, "motion.K_q"),
+    ):
+        everything = {**references(0, controller.robot), **given}
+        with pytest.raises(InputError, match=f"unknown task input '{name}'"):
+            controller.step("contact", measured(0, controller.robot), everything, memory)
+
+
+def test_ticks_leave_no_memory_behind_and_engines_go() -> None:
+    controller = make("yes")
+    given, memory = references(0, controller.robot), controller.start("free", np.zeros(7))
+    del given["force"]
+
+    def many(controller: Controller, ticks: int, memory: Memory) -> Memory:
+        for i in range(ticks):
+            seen = Measurement(memory.time + DT if i else 0.0, controller.robot.home, np.zeros(7))
+            _, _, memory = controller.step("free", seen, given, memory)
+        return memory
+
+    memory = many(controller, 2000, memory)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    many(controller, 20_000, memory._replace(time=-np.inf))
+    grown = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
+    assert grown < 4000  # kB; a leak of one report a tick would be 30 MB
+    gone = weakref.ref(controller.engines["free"])
+    del controller
+    gc.collect()
+    assert gone() is None

@@ -166,15 +166,24 @@ def test_a_known_push_on_the_wall_is_read_as_force_into_it(world: World) -> None
 
 
 def test_the_sensor_compensates_a_spinning_tool_against_hand_calculation() -> None:
-    mass, arm = 2.0, np.array([0.3, 0.0, 0.0])
-    sensor = WrenchSensor(pin.Inertia(mass, arm, np.zeros((3, 3))), pin.SE3.Identity())
-    spin = np.array([0.0, 0.0, 4.0])
-    centripetal = np.array([-mass * 0.3 * 16.0, 0.0, 0.0])  # N, the arm pulls the tool inwards
+    mass, arm, radius = 2.0, np.array([0.3, 0.0, 0.0]), 0.3
+    X_WS = pin.SE3(pin.utils.rotate("x", 0.5), np.zeros(3))  # the world is at rest in no axis of S
+    reading = ToolReading(*np.zeros((5, 3)), np.zeros((3, 3), order="F"))
+    X_ST = pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.1]))
+    sensor = WrenchSensor(pin.Inertia(mass, arm, np.zeros((3, 3))), X_ST, reading)
+    spin, spin_up = 4.0, 5.0  # rad/s, rad/s², about z
+    centripetal = [-mass * radius * spin**2, 0.0, 0.0]  # N, the arm pulls the tool inwards
+    swing, lift = [0.0, mass * radius * spin_up, 0.0], [0.0, 0.0, mass * 9.81]
+    moment = [0.0, -radius * mass * 9.81, radius**2 * mass * spin_up]
     extra = np.array([1.0, -2.0, 3.0])  # N, and pushes this much on the environment
-    wrench = sensor.wrench_on_env(
-        ToolReading(centripetal + extra, np.zeros(3), np.zeros(3), spin, np.zeros(3))
-    )
-    assert wrench == pytest.approx([*extra, 0, 0, 0], abs=1e-12)
+    reading.force[:] = np.sum([centripetal, swing, lift, extra], axis=0)
+    reading.moment[:] = moment
+    reading.acceleration[:] = 0.0, 0.0, 9.81
+    reading.angular_velocity[:] = 0.0, 0.0, spin
+    reading.angular_acceleration[:] = X_WS.rotation @ [0.0, 0.0, spin_up]
+    reading.R_SW[...] = X_WS.rotation.T
+    lever = -np.cross(X_ST.translation, extra)  # the force acts at the sensor's origin
+    assert sensor.wrench_on_env() == pytest.approx([*extra, *lever], abs=1e-12)
 
 
 def test_the_rigid_plant_matches_constrained_dynamics_and_stays_on_its_board(world: World) -> None:

@@ -1,18 +1,24 @@
 """The record: each row has its command, and what the joints made of it until the next tick."""
 
+import math
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import polars as pl
 import pytest
 from cases import planar_2r
 
-from qpctrl import Controller, InputError, Mode, TaskSpace, Weighted, from_pinocchio
+from qpctrl import Controller, InputError, Mode, Status, TaskSpace, Weighted, from_pinocchio
 from scenarios import record
+from scenarios.brief import QUANTITIES, BriefRecord
 from scenarios.environment import Hand
+from scenarios.eraser import Eraser
 from scenarios.plant import JointReading, Plant, PlantState
 from scenarios.plant_compliant import CompliantPlant
-from scenarios.scenario import Directive, Experiment
+from scenarios.record import Record, Tick
+from scenarios.scenario import Directive, Experiment, Options
 from scenarios.simulation import simulate
 from tasks import MotionReference, MotionTask, PostureTask
 
@@ -79,11 +85,12 @@ def run(silent: frozenset[int] | None = frozenset()) -> tuple[pl.DataFrame, Plan
     return simulate(experiment), plant
 
 
-@pytest.mark.parametrize("piece", [record.PIECE, 4])
+@pytest.mark.parametrize(("piece", "sheet"), [(record.PIECE, record.SHEET), (4, 3), (5, 5)])
 def test_a_row_has_its_command_and_what_drives_make_of_it_until_the_next(
-    piece: int, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    piece: int, sheet: int, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setattr(record, "PIECE", piece)
+    monkeypatch.setattr(record, "SHEET", sheet)
     table, plant = run()
     record.write_parquet(table, tmp_path / "ticks.parquet")
     assert pl.read_parquet(tmp_path / "ticks.parquet").equals(table, null_equal=True)
@@ -127,3 +134,110 @@ def test_ideal_joints_deliver_and_measure_the_command_and_have_no_motors() -> No
 def test_drives_that_speak_now_and_then_are_refused(silent: frozenset[int], words: str) -> None:
     with pytest.raises(InputError, match=f"joint reading: {words}"):
         run(silent=silent)
+
+
+class Kept(Record):
+    """A record beside the ticks that it is made of."""
+
+    def __init__(self, controller: Controller) -> None:
+        super().__init__(controller)
+        self.ticks: list[Tick] = []
+
+    def add(self, tick: Tick) -> None:
+        """Append one tick."""
+        self.ticks.append(tick)
+        super().add(tick)
+
+
+class Blind:
+    """A plant whose encoders say nothing after some periods, once."""
+
+    def __init__(self, plant: Plant, period: int) -> None:
+        self._plant, self._left = plant, period
+
+    def reset(self, q: np.ndarray) -> PlantState:
+        """Return the state at rest."""
+        return self._plant.reset(q)
+
+    def step(self, tau: np.ndarray) -> PlantState:
+        """Return the state after a period."""
+        state, self._left = self._plant.step(tau), self._left - 1
+        return state if self._left else state._replace(q=np.full_like(state.q, np.nan))
+
+
+def cells(tick: Tick, experiment: Experiment) -> dict[str, Any]:
+    """Return what a row shall hold, read from what its tick left."""
+    directive, state, command, report, tick_us, _ = tick
+    graph = experiment.controller.engines[report.mode].tick
+    joints = experiment.robot.joint_names
+    wrench = ("fx", "fy", "fz", "mx", "my", "mz")
+    vectors = {
+        **{"q": (state.q, joints), "v": (state.v, joints), "tau": (command.tau, joints)},
+        **dict.fromkeys(("tau_delivered", "tau_meas"), (command.tau, joints)),
+        **{n: (getattr(report, n), joints) for n in ("tau_qp", "tau_hybrid", "tau_textbook")},
+        **{"wrench": (state.wrench, wrench), "wrench_meas": (state.wrench_meas, wrench)},
+        "lam": (report.lam, graph.rows.constraint),
+    }
+    signals = [f"{name}.{i}" for name, size in graph.signals.items() for i in range(size)]
+    gaps = ("law_gap", "textbook_gap", "unexplained_gap", "curvature")
+    eventful = report.saturated or command.fallback
+    return {
+        **{"phase": directive.phase, "mode": report.mode, "status": report.status.name},
+        **{"contact": directive.contact.name, "fallback": command.fallback},
+        **{"touching": state.touching, "saturated": report.saturated},
+        "active": ", ".join(limit.name for limit in report.active),
+        "explanation": report.explain() if eventful else "",
+        **{name: getattr(report, name) for name in (*gaps, "damping", "kkt_residual")},
+        **{"time": state.time, "tick_us": tick_us},
+        **{
+            f"{name}.{part}": float(value)
+            for name, (vector, parts) in vectors.items()
+            for value, part in zip(vector, parts, strict=True)
+        },
+        **dict(zip(signals, report.signals.tolist(), strict=True)),
+    }
+
+
+def test_every_cell_is_what_its_tick_left_and_what_a_mode_does_not_have_is_nan() -> None:
+    experiment = Eraser().prepare(Options())
+    blind = replace(experiment, plant=Blind(experiment.plant, 1450), horizon=1.4995)
+    kept = Kept(experiment.controller)
+    table = simulate(blind, record=kept)
+    assert len(table) == len(kept.ticks) == 1500
+    assert set(table["mode"].unique()) == {"free", "contact"}
+    assert table["saturated"].any()
+    assert table["status"].to_list().count(Status.NOT_FINITE.name) == 1
+    for row, tick in zip(table.iter_rows(named=True), kept.ticks, strict=True):
+        expected = cells(tick, experiment)
+        own = {name: expected.get(name, math.nan) for name in table.columns}
+        assert not set(expected) - set(own)
+        differ = [name for name in own if not same(row[name], own[name])]
+        assert not differ, (row["time"], {name: (row[name], own[name]) for name in differ})
+
+
+def same(found: Any, expected: Any) -> bool:
+    """Return whether two cells are equal, or both not a number."""
+    return found == expected or (found != found and expected != expected)
+
+
+def test_a_brief_record_has_its_columns_and_they_are_those_of_the_full_one() -> None:
+    experiment = replace(Eraser().prepare(Options()), horizon=0.3)
+    kept, brief = Kept(experiment.controller), BriefRecord(experiment.controller)
+    full = simulate(experiment, record=kept)
+    for tick in kept.ticks:
+        brief.add(tick)
+    table = brief.table()
+    assert full.select(table.columns).equals(table, null_equal=True)
+    signals = experiment.controller.engines["contact"].tick.signals
+    assert {name.rpartition(".")[0] or name for name in table.columns} - set(signals) == (
+        set(QUANTITIES) - {"signals"}
+    )
+
+
+def test_a_run_without_ticks_leaves_a_table_with_all_columns() -> None:
+    experiment = Eraser(plant="rigid").prepare(Options())
+    empty = simulate(experiment, until=lambda state: True)
+    assert len(empty) == 0
+    one = simulate(replace(experiment, horizon=1e-3))
+    assert len(one) == 1
+    assert empty.schema == one.schema

@@ -116,6 +116,27 @@ def poses(count: int, seed: int = 0) -> list[tuple[pin.SE3, np.ndarray, MotionRe
 # Motion ------------------------------------------------------------------------------------
 
 
+def test_a_pose_may_be_given_as_an_array_which_is_not_copied() -> None:
+    gains = {"K_p": np.full(6, 7.0)}
+    for _, _, given in poses(3):
+        pose = np.asfortranarray(given.X_WD.homogeneous[:3])
+        laid_out = MotionReference(
+            X_WD=pose, V_des=given.V_des, V_dot_des=given.V_dot_des, gains=gains
+        )
+        assert laid_out.arrays()["X_WD"] is pose
+        assert laid_out.arrays().keys() - given.arrays().keys() == {"K_p"}
+        for name, value in given.arrays().items():
+            assert np.array_equal(laid_out.arrays()[name], value)
+        assert laid_out.X_WD.isApprox(given.X_WD, 1e-15)
+
+
+def test_a_motion_reference_is_at_rest_by_default_for_good() -> None:
+    still = MotionReference(X_WD=pin.SE3.Identity())
+    assert not np.any([still.V_des, still.V_dot_des])
+    with pytest.raises(ValueError, match="read-only"):
+        still.V_des[0] = 1.0
+
+
 def test_feed_forward_is_the_rate_of_the_transported_twist() -> None:
     bench = Bench(MotionTask(space=SPACE, K_p=0, K_i=0, K_d=0))
     for X, V, reference in poses(10):

@@ -14,6 +14,7 @@
 #define IMPLIED 1e-10  /* the same of a row that depends on W, and the most that SAME may grow to */
 #define PARALLEL 1e-10 /* sine of the angle in u below which a row depends on W */
 #define FLAT 1e-13     /* cosine of the angle in x below which a row depends on A */
+#define NOISE 1e-14    /* round-off of c'x over |c| |x| */
 #define SHARP 1e-14    /* KKT residual that needs no refinement */
 #define BREAKDOWN 1e-6 /* KKT residual of what is no solution */
 #define REFINEMENTS 4
@@ -169,13 +170,14 @@ static int admit(Qp *p, int i)
         }
         clear(ld, p->dx);
         add_product(ld, f - q, ld, 1, p->J + q * ld, p->d + q, p->dx);
-        const double flat = FLAT * sqrt(dot(ld, p->c, p->c) * dot(ld, p->dx, p->dx));
-        const double excess = dot(ld, p->c, p->x) - beta;
+        const double excess = dot(ld, p->c, p->x) - beta, length = sqrt(dot(ld, p->c, p->c));
+        const double flat = FLAT * length * sqrt(dot(ld, p->dx, p->dx));
         t2 = ww > PARALLEL * PARALLEL * vv && ww > flat ? excess / ww : INFINITY;
         back_substitute(p->q, p->f, p->R, p->d, p->e);
         const int l = blocking(p, sqrt(vv), &t1);
         const double t = fmin(t1, t2);
-        if (t2 == INFINITY && excess <= IMPLIED * p->largest) return REDUNDANT;
+        const double noise = fmin(NOISE * length * sqrt(dot(ld, p->x, p->x)), IMPLIED * p->largest);
+        if (t2 == INFINITY && excess <= noise) return REDUNDANT;
         if (t == INFINITY) { /* judged at the point that is on W to round-off */
             residual(p), clear(ld, p->rx), correct(p), violated(p, SAME);
             const double left = sign * p->Cx[i] - beta;
@@ -270,12 +272,12 @@ int qpctrl_qp(int n, int m, int r, const double *H, const double *g, const doubl
         z[i] = 0, p.state[i] = OUTSIDE;
         crossed |= lb[i] > ub[i], unknown |= isnan(lb[i]) || isnan(ub[i]);
     }
-    const int i = violated(&p, SAME);
+    const int worst = violated(&p, SAME);
     if (unknown || !are_finite(n, x_eq) || !are_finite(m, y_eq) || !are_finite(r, p.Cx) ||
         !are_finite(n, g) || !are_finite(m, b) || !are_finite(n * n, H) || !are_finite(m * n, A))
         return QPCTRL_QP_FAILED;
     if (crossed) return QPCTRL_QP_INFEASIBLE;
-    if (i >= 0) {
+    if (worst >= 0) {
         widen(n, n, p.ld, H, 1, n, p.H);
         widen(n, m, p.ld, A, m, 1, p.At);
         assign(p.ld * m, p.At, p.T);
@@ -283,10 +285,8 @@ int qpctrl_qp(int n, int m, int r, const double *H, const double *g, const doubl
         if (!exchange(n, m, p.ld, p.T, p.basic, p.dx, p.ry) ||
             !bases(n, m, p.ld, p.H, p.T, p.basic, p.dx, p.Y, p.J, p.N, p.c, p.ry, p.d))
             return QPCTRL_QP_FAILED;
-        code = solve(&p, i, rough_x);
-        for (int j = 0; j < p.q; j++) {
-            z[p.row[j]] = p.state[p.row[j]] * fmax(p.mu[j], 0);
-        }
+        code = solve(&p, worst, rough_x);
+        for (int j = 0; j < p.q; j++) z[p.row[j]] = p.state[p.row[j]] * fmax(p.mu[j], 0);
     }
     for (int j = 0; j < n; j++) x[j] = p.x[j];
     for (int i = 0; i < m; i++) y[i] = p.y[i];
