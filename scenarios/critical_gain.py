@@ -15,8 +15,8 @@ import pinocchio as pin
 from qpctrl.arrays import Vector, finite_array
 from qpctrl.constraint import Pfaffian
 from qpctrl.controller import Controller
-from qpctrl.memory import Measurement
 from qpctrl.errors import InputError
+from qpctrl.memory import Measurement
 from qpctrl.mode import Mode
 from qpctrl.objective import Weighted
 from qpctrl.robot import Robot, from_pinocchio
