@@ -53,7 +53,8 @@ class Dynamics:
         world = SymbolicPose(ca.SX.eye(3), ca.SX(3, 1))  # index 0, as in pinocchio
         self._S: list[SX] = [ca.SX(6, 1), *(_axis(model.joints[i]) for i in joints)]
         self._X: list[SymbolicPose] = [world, *(self._placement(i) for i in joints)]
-        self._Y: list[SX] = [ca.SX(6, 6), *(_sparse(model.inertias[i].matrix()) for i in joints)]
+        bodies = [ca.SX(6, 6), *(_sparse(model.inertias[i].matrix()) for i in joints)]
+        self._Y = [_inertia(Y) for Y in bodies]
         self._V, self._drift = self._velocities()
         self.M = self._composite_rigid_body() + ca.diag(ca.SX(np.array(model.armature)))
         self.h = self._newton_euler(np.array(model.gravity.linear))
@@ -95,8 +96,8 @@ class Dynamics:
         forces = [ca.SX(6, 1)]
         for i in range(1, len(self._X)):
             lift.append(motion_to_child(self._X[i], lift[self._parents[i]]))
-            momentum = self._Y[i] @ self._V[i]
-            inertial = self._Y[i] @ (self._drift[i] + lift[i])
+            momentum = self._Y[i].momentum(self._V[i])
+            inertial = self._Y[i].momentum(self._drift[i] + lift[i])
             forces.append(inertial + force_cross(self._V[i], momentum))
         h = [ca.SX(0)] * (len(self._X) - 1)
         for i in reversed(range(1, len(self._X))):
@@ -106,10 +107,10 @@ class Dynamics:
         return ca.vertcat(*h)
 
     def _composite_rigid_body(self) -> SX:
-        Y = list(self._Y)
+        composite = list(self._Y)
         M = ca.SX(self._robot.nv, self._robot.nv)
         for i in reversed(range(1, len(self._X))):
-            force = Y[i] @ self._S[i]
+            force = composite[i].momentum(self._S[i])
             M[i - 1, i - 1] = ca.dot(self._S[i], force)
             j = i
             while self._parents[j] > 0:
@@ -117,11 +118,49 @@ class Dynamics:
                 j = self._parents[j]
                 M[i - 1, j - 1] = M[j - 1, i - 1] = ca.dot(self._S[j], force)
             if (parent := self._parents[i]) > 0:
-                to_child = ca.horzcat(
-                    *(motion_to_child(self._X[i], ca.SX(column)) for column in np.eye(6))
-                )
-                Y[parent] = Y[parent] + to_child.T @ Y[i] @ to_child
+                composite[parent] = composite[parent].plus(composite[i].in_parent(self._X[i]))
         return M
+
+
+class _Inertia(NamedTuple):
+    """Inertia of bodies that move as one: ten numbers, of which four are its mass and moment."""
+
+    mass: SX
+    """Mass [kg]."""
+    moment: SX
+    """First moment m c (3) [kg m] of the centre of mass."""
+    about: SX
+    """Rotational inertia (3×3) [kg m²] about the origin."""
+
+    def momentum(self, V: SX) -> SX:
+        """Return momentum (6) [kg m/s, kg m²/s] of the twist ``V`` (6), or force of its rate."""
+        v, w = V[:3], V[3:]
+        linear = self.mass * v - skew(self.moment) @ w
+        return ca.vertcat(linear, self.about @ w + skew(self.moment) @ v)
+
+    def in_parent(self, X: SymbolicPose) -> "_Inertia":
+        """Return the same bodies in the axes in which the pose of this frame is ``X``."""
+        turned = X.R @ self.moment
+        moved = turned + self.mass * X.p
+        half = X.R @ self.about
+        about = ca.SX(3, 3)
+        for i in range(3):
+            for j in range(i + 1):
+                about[i, j] = about[j, i] = ca.dot(half[i, :], X.R[j, :])
+        shift = skew(X.p) @ skew(turned) + skew(moved) @ skew(X.p)
+        for i in range(3):
+            for j in range(i + 1):
+                about[i, j] = about[j, i] = about[i, j] - shift[i, j]
+        return _Inertia(self.mass, moved, about)
+
+    def plus(self, other: "_Inertia") -> "_Inertia":
+        """Return both together."""
+        return _Inertia(*(mine + theirs for mine, theirs in zip(self, other, strict=True)))
+
+
+def _inertia(Y: SX) -> _Inertia:
+    moment = ca.vertcat(Y[5, 1], Y[3, 2], Y[4, 0])
+    return _Inertia(Y[0, 0], moment, Y[3:, 3:])
 
 
 def _axis(joint: object) -> SX:

@@ -145,11 +145,28 @@ def test_two_runs_are_the_same_and_noise_has_a_seed() -> None:
 
 
 @pytest.mark.skipif(not any(map(shutil.which, COMPILERS)), reason="needs a C compiler on PATH")
-def test_a_compiled_run_has_the_same_ticks() -> None:
-    flags = ("eraser", "--duration", "0.2", "--actuator", "strain-gauge", "--compiled")
-    tables = [ran(*flags, given).table.select(pl.exclude("tick_us")) for given in ("no", "yes")]
+def test_a_compiled_run_has_the_same_ticks_bit_for_bit_with_one_solver() -> None:
+    flags = ("eraser", "--duration", "0.2", "--actuator", "strain-gauge", "--solver", "proxsuite")
+    tables = [
+        ran(*flags, "--compiled", given).table.select(pl.exclude("tick_us"))
+        for given in ("no", "yes")
+    ]
     assert_frame_equal(*tables, check_exact=True)
 
+
+@pytest.mark.skipif(not any(map(shutil.which, COMPILERS)), reason="needs a C compiler on PATH")
+def test_a_compiled_run_has_the_same_ticks_to_round_off_with_its_own_solver() -> None:
+    flags = ("eraser", "--duration", "0.2", "--compiled")
+    one, two = (ran(*flags, given).table for given in ("no", "yes"))
+    assert one["saturated"].any()
+    assert one["status"].equals(two["status"])
+    for name in ("tau.joint2", "tau.joint4", "q.joint4", "wrench.fz"):
+        apart = (one[name] - two[name]).abs().max()
+        assert apart <= SAME_RUN * one[name].abs().max(), name
+
+
+SAME_RUN = 1e-9
+"""A closed loop with contact amplifies round-off of its ticks; measured 3e-12 of the maximum."""
 
 NOISY = ("--actuator", "strain-gauge", "--compiled", "no")
 

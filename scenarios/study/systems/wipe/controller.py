@@ -90,7 +90,7 @@ def _controller(name: str, tip: Tip, actuator: int, period: int, solver: int) ->
         contact_limits=kind.limits(tip),
         slack=kind.slack,
     )
-    options = Options(law=kind.law, solver=SOLVERS[solver], compiled="no")
+    options = Options(law=kind.law, solver=SOLVERS[solver])
     return options.controller(robot, [mode], period * STEP)
 
 
