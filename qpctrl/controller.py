@@ -82,6 +82,12 @@ class Controller:
                     "task and every joint driven; use law 'qp' or 'hybrid'"
                 )
 
+    @property
+    def interpreted(self) -> str:
+        """Why ticks that were to be compiled are not, in one line; empty where they are."""
+        notes = dict.fromkeys(engine.note for engine in self.engines.values())
+        return "; ".join(note for note in notes if note.startswith("interpreted:"))
+
     def start(self, mode: str, q: Vector) -> Memory:
         """Return the memory of a controller that holds still at ``q`` (nq) in ``mode``.
 

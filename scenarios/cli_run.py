@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import math
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -60,6 +61,8 @@ def run_command(arguments: list[str]) -> bool:
     )
     folder = given.out or Path("runs") / name
     outcome = _watched_run(given.scenario, given.run, folder)
+    if why := outcome.experiment.controller.interpreted:
+        print(f"qpctrl: ticks are {why}", file=sys.stderr)
     if given.json:
         print(json.dumps(outcome.summary, indent=2, ensure_ascii=False))
     else:

@@ -3,6 +3,7 @@
 import gc
 import resource
 import weakref
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -28,6 +29,7 @@ from qpctrl.contact import MaxForce
 from qpctrl.law import Law
 from qpctrl.native_tick import NativeTick
 from qpctrl.python_tick import PythonTick
+from scenarios.cli import main
 from tasks import (
     ForceReference,
     ForceTask,
@@ -204,6 +206,21 @@ def test_near_a_singularity_both_ways_damp_alike() -> None:
         found.append((report.damping, *report.tau_qp))
     assert found[0][0] > 0
     assert found[0] == pytest.approx(found[1], rel=1e-9)
+
+
+def test_without_a_compiler_a_tick_is_interpreted_and_says_so_once(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    compiled = run(make("yes"), 5)[-1]
+    monkeypatch.setenv("CC", "no-such-compiler")
+    controller = make("auto")
+    reason = "interpreted: $CC is 'no-such-compiler', which is no program that can be run"
+    assert controller.interpreted == reason
+    assert make("no").interpreted == ""
+    assert run(controller, 5)[-1].tau == pytest.approx(compiled.tau, rel=SAME)
+    with pytest.raises(SystemExit):
+        main(["run", "eraser", "--duration", "0.05", "--out", str(tmp_path)])
+    assert capsys.readouterr().err == f"qpctrl: ticks are {reason}\n"
 
 
 def test_two_controllers_on_one_library_do_not_disturb_each_other() -> None:
