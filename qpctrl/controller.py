@@ -19,6 +19,7 @@ from qpctrl.rank import DependentRows, check_determined, independent
 from qpctrl.report import Command, TickReport
 from qpctrl.robot import Robot
 from qpctrl.solver import NEED_STRICT_CONVEXITY, make_solver
+from qpctrl.status import LIMITED
 
 
 class Controller:
@@ -127,7 +128,13 @@ class Controller:
             InputError: unknown mode, task or input name, an array of the wrong shape, or no
                 reference where one is needed.
         """
-        engine = self._engine(mode)
+        engine = self.engines.get(mode) or self._engine(mode)
+        if engine.quick is not None:
+            done = engine.quick(measurement, references, memory)
+            if not isinstance(done, int):
+                return done
+            if done > LIMITED:
+                return engine.hold(done, measurement, memory)
         if memory.mode != mode or memory.time == -math.inf:
             engine.demand(references)
         if memory.mode != mode:

@@ -38,10 +38,12 @@ class Engine:
     Attributes:
         tick: the graph and its names.
         parts: the functions on their buffers.
+        runner: runs them.
         terms: outputs of the graph by name; overwritten every tick.
         qp: the QP among those outputs.
         inputs: its named inputs as writable views; gains and limits may be changed between
             ticks.
+        quick: does what `step` does, where nothing is unusual; none where it is not compiled.
         note: one line: what compiled the tick, or why it is interpreted.
     """
 
@@ -67,16 +69,17 @@ class Engine:
             made = {name: compiled(f, compile=compile) for name, f in functions.items()}
             self.parts = TickParts(robot, self.tick, {name: m.function for name, m in made.items()})
             library, self.note = None, made["tick"].note
-        self._runner: Runner = (
+        self.runner: Runner = (
             PythonTick(self.parts, solver, law, tolerance)
             if library is None
             else NativeTick(self.parts, law, tolerance, library)
         )
-        self._solve = self._runner.solve
+        self._solve = self.runner.solve
         self._bind(robot)
-        self._quick: QuickStep | None = None
-        if isinstance(self._runner, NativeTick):
-            self._quick = quick_step(self._runner, self.parts, self.format)
+        self.quick: QuickStep | None = None
+        if isinstance(self.runner, NativeTick):
+            self.quick, why = quick_step(self.runner, self.parts, self.format)
+            self.note += f"; called through Python: {why}" if self.quick is None else ""
         self.reset()
 
     def _bind(self, robot: Robot) -> None:
@@ -134,18 +137,6 @@ class Engine:
         Raises:
             InputError: unknown task or input, or an array of the wrong shape.
         """
-        if self._quick is not None:
-            done = self._quick(measurement, references, memory)
-            if not isinstance(done, int):
-                return done
-            if done > LIMITED:
-                return self._hold(done, measurement, memory)
-        return self._step(measurement, references, memory)
-
-    def _step(
-        self, measurement: Measurement, references: Mapping[str, Reference], memory: Memory
-    ) -> tuple[Command, TickReport, Memory]:
-        """Do the same in Python, whatever is given."""
         time, q, v, contact = measurement
         try:
             self._q[:], self._v[:], self._last[:] = q, v, memory.packed
@@ -158,7 +149,7 @@ class Engine:
             self._refer(task, reference)
         code = self._solve()
         if code > LIMITED:
-            return self._hold(code, measurement, memory)
+            return self.hold(code, measurement, memory)
         numbers = self._numbers.copy()
         limited = code == LIMITED
         freeze = limited or (self._has_rows and not contact.closed)
@@ -175,7 +166,7 @@ class Engine:
         ``graph``, ``QP`` and ``certificate``; of a tick in C also ``call``, which is all of them,
         and ``nothing``, which shows what calling takes.
         """
-        return self._runner.calls()
+        return self.runner.calls()
 
     def holding_torque(self, q: Vector) -> Vector:
         """Return the torque (nu) [Nm] that holds the arm at rest in ``q`` (nq), within limits.
@@ -212,11 +203,17 @@ class Engine:
             raise unknown_name("task input", name, self.inputs)
         _assign(name, self.inputs[name], value)
 
-    def _hold(
+    def hold(
         self, code: int, measurement: Measurement, memory: Memory
     ) -> tuple[Command, TickReport, Memory]:
-        """Return the fallback torque, the report of a tick without a solution, and memory."""
-        known, parts = self._runner.hold(), self.parts
+        """Return the fallback torque, the report of a tick without a solution, and memory.
+
+        Args:
+            code: what the tick that is in the buffers came to.
+            measurement: that of the tick.
+            memory: what the tick before it returned.
+        """
+        known, parts = self.runner.hold(), self.parts
         time = measurement.time if known else memory.time
         status, layout = BY_CODE[code], self.format.layout
         numbers = np.full(len(parts.numbers), np.nan)

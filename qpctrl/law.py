@@ -105,13 +105,12 @@ class LawTerms(NamedTuple):
 def closed_forms(law: LawTerms) -> LawTorque:
     """Return `textbook` and `hybrid` for one task space and B = I."""
     terms, P = law.terms, law.split.P
-    identity = ca.SX.eye(P.shape[0])
+    lam = law.split.multiplier(law.F_cmd)
     moving = P @ (terms.Lambda @ law.a_cmd)
-    pressing = (identity - P) @ law.F_cmd
+    pressing = law.split.A.T @ lam  # (I − P) F_cmd
     posture = law.M_N @ law.a_post
     textbook = law.h + terms.J.T @ (moving + pressing - terms.Lambda @ terms.J_dot_v) + posture
     curvature = terms.J.T @ law.split.curvature_wrench
     hybrid = textbook - curvature
-    lam = law.split.multiplier(law.F_cmd)
     a = law.M_factor.solve(hybrid - law.h - terms.J.T @ (law.split.A.T @ lam))
     return LawTorque(textbook, hybrid, curvature, a, lam)

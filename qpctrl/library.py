@@ -110,7 +110,7 @@ def _load(load: Load[Loaded], library: Path) -> Loaded:
         if library.name.split(".")[1] != _digest(library):
             raise NotCompiledError(f"{library} was changed")
         return load(library)
-    except (OSError, RuntimeError) as error:
+    except (AttributeError, OSError, RuntimeError) as error:  # the first: no such symbol
         reason = one_line(str(error).rpartition(f"Error code: {library}: ")[2])
         raise NotCompiledError(f"the library cannot be loaded: {reason}") from error
 

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from qpctrl.arrays import Array
-from qpctrl.compiler import NotCompiledError
+from qpctrl.compiler import NotCompiledError, one_line
 from qpctrl.library import recalled_or_built
 from qpctrl.memory import Measurement, Memory
 from qpctrl.native_tick import NativeTick
@@ -28,18 +28,20 @@ from qpctrl.status import Status
 QuickStep = Callable[
     [Measurement, Mapping[str, Reference], Memory], tuple[Command, TickReport, Memory] | int
 ]
-"""Runs a tick; a number is the code of one without a solution, or −1 where what was given is not
-plain vectors of the right length, and Python shall look at it."""
+"""Runs a tick; a number where it has no solution, where it is the first one in its mode, or where
+what was given is not plain arrays of the right shape: then Python shall look at it."""
 
 PLACE = struct.Struct("@Pinn")
 """``place`` of native/python.c: address, dimensions, rows, columns."""
 
 
-def quick_step(native: NativeTick, parts: TickParts, format: ReportFormat) -> QuickStep | None:
-    """Return the way into a tick; none where it cannot be compiled."""
-    library = _library()
+def quick_step(
+    native: NativeTick, parts: TickParts, format: ReportFormat
+) -> tuple[QuickStep | None, str]:
+    """Return the way into a tick; none where it cannot be compiled, and why."""
+    library, why = _library()
     if library is None:
-        return None
+        return None, why
     places: dict[str, dict[str, bytes]] = {}
     for name, array in parts.u.items():
         task, dot, own = name.partition(".")
@@ -51,7 +53,7 @@ def quick_step(native: NativeTick, parts: TickParts, format: ReportFormat) -> Qu
         format.layout.place("lam").stop > format.layout.place("lam").start,
     )
     step: QuickStep = library.qpctrl_bind(*native.addresses, given)
-    return step
+    return step, ""
 
 
 def _place(array: Array) -> bytes:
@@ -60,8 +62,8 @@ def _place(array: Array) -> bytes:
 
 
 @functools.cache
-def _library() -> ctypes.PyDLL | None:
-    """Return the library, which serves every tick of the process; none without a compiler."""
+def _library() -> tuple[ctypes.PyDLL | None, str]:
+    """Return the library, which serves every tick of the process; or none, and why."""
     native = files("qpctrl") / "native"
     tick, python = ((native / name).read_text("utf-8") for name in ("tick.h", "python.c"))
     source = tick + python.replace('#include "tick.h"', "")
@@ -71,9 +73,9 @@ def _library() -> ctypes.PyDLL | None:
         f"-DMADE_FOR={platform.python_version()}-numpy-{np.__version__}",
     )
     try:
-        return recalled_or_built(source, _load, None, options)[0]
-    except (NotCompiledError, OSError):
-        return None
+        return recalled_or_built(source, _load, None, options)
+    except (NotCompiledError, OSError) as error:
+        return None, one_line(error)
 
 
 def _load(library: Path) -> ctypes.PyDLL:

@@ -17,6 +17,7 @@ from qpctrl.evaluator import Evaluator
 from qpctrl.law import Law
 from qpctrl.library import recalled_or_built
 from qpctrl.parts import TickParts
+from qpctrl.report import ACTIVE_DUAL
 
 SOURCES = ("qp.h", "tick.h", "linear.h", "qp.c", "tick.c")
 """Files of the folder ``native``, in the order in which they make one text."""
@@ -66,6 +67,7 @@ class _Tick(ctypes.Structure):
     _fields_ = (
         *((name, _INT) for name in _SIZES),
         ("tolerance", _DOUBLE),
+        ("active_dual", _DOUBLE),
         *((name, _Call) for name in _CALLS),
         *((name, _POINTER) for name in _ARRAYS),
     )
@@ -87,7 +89,7 @@ class NativeTick:
             "n_u": len(parts.inputs["u"]),
             "n_x": len(parts.inputs["x"]),
             "law": get_args(Law).index(law),
-            "tolerance": tolerance,
+            **{"tolerance": tolerance, "active_dual": ACTIVE_DUAL},
             **{name: self._call(library, name, getattr(parts, name)) for name in _CALLS},
             **{name: _address(array) for name, array in tick_arrays(parts).items()},
             **{"work": _address(work), "iwork": _address(iwork)},
@@ -96,6 +98,7 @@ class NativeTick:
         self._kept += [work, iwork, rough]
         tick = _Tick(**given)
         self._library, self._tick = library, tick
+        self._kept.append(tick)
         self.owner: object = self._kept
         pointer = ctypes.addressof(tick)
         library.qpctrl_solve.argtypes = library.qpctrl_hold.argtypes = (_POINTER,)
@@ -113,10 +116,13 @@ class NativeTick:
         return ctypes.addressof(self._tick), solve or 0
 
     def calls(self) -> dict[str, Callable[[], object]]:
-        """Return the parts of a tick as calls; ``call`` is all of them, ``nothing`` none."""
+        """Return the parts of a tick as calls; ``call`` is all of them, ``nothing`` none.
+
+        They work on memory of this object, which must live longer.
+        """
         library, tick = self._library, self._tick
         generated = ctypes.PYFUNCTYPE(_INT, *(_POINTER,) * 4, _INT)
-        qp = ctypes.PYFUNCTYPE(_INT, *(_INT,) * 3, *(_POINTER,) * len(_QP))
+        qp = ctypes.PYFUNCTYPE(_INT, *(_INT,) * 3, *(_POINTER,) * len(_QP), _INT)
         work = ctypes.PYFUNCTYPE(_INT, *(_INT,) * 3)
 
         def one(name: str) -> Callable[[], object]:
@@ -129,7 +135,7 @@ class NativeTick:
         return {
             "call": self.solve,
             "graph": one("tick"),
-            "QP": partial(qp(("qpctrl_qp", library)), *sizes, *places),
+            "QP": partial(qp(("qpctrl_qp", library)), *sizes, *places, 0),
             "certificate": one("certificate"),
             "nothing": partial(work(("qpctrl_qp_work", library)), *sizes),
         }

@@ -53,7 +53,7 @@ class TickParts:
         inputs: the arguments q, v, u, x of `tick`, by name.
         terms: its results, by name.
         qp: the QP among them.
-        point: solution (x, y, z) of the QP, in three arrays.
+        whole_point, point: solution (x, y, z) of the QP in one array, and its three parts.
         layout, numbers: all that the tick leaves behind, in one vector (`qpctrl.outcome`).
         named: its parts by name.
         u: the named inputs among the argument u.
@@ -78,8 +78,10 @@ class TickParts:
         self.inputs, self.terms = self.tick.inputs, self.tick.outputs
         self.u = tick.inputs.views(self.inputs["u"])
         self.qp = QpData(*(self.terms[name] for name in QpData._fields))
-        self.point = tuple(np.zeros(len(self.terms[name])) for name in ("g", "b", "lb"))
-        x, y, z = self.point
+        sizes = [len(self.terms[name]) for name in ("g", "b", "lb")]
+        self.whole_point = np.zeros(sum(sizes))
+        x, y, z = np.split(self.whole_point, np.cumsum(sizes[:2]))
+        self.point = x, y, z
         judged = {**self.named, **self.inputs, **self.terms, "tau": self.named["tau_qp"]}
         judged |= {"x": x, "y": y, "z": z}
         self.certificate = Evaluator(made["certificate"], judged)

@@ -10,7 +10,7 @@ from qpctrl.law import Law
 from qpctrl.parts import TickParts
 from qpctrl.polish import Polish, active_set
 from qpctrl.report import ACTIVE_DUAL
-from qpctrl.solver import Solution, Solver
+from qpctrl.solver import ActiveSet, Solution, Solver
 from qpctrl.status import BY_CODE, LIMITED, Status
 
 WELL_POLISHED = 1e-12
@@ -33,6 +33,8 @@ class PythonTick:
         self._parts, self._solver, self._law, self._tolerance = parts, solver, law, tolerance
         self._polish = Polish(*(len(values) for values in parts.point))
         self._torque_map = parts.torque_map
+        self._starts_free = isinstance(solver, ActiveSet)
+        self._is_free = False  # whether it is the minimiser without inequalities, seen at once
         self._none = np.zeros(len(parts.point[2]))
 
     def solve(self) -> int:
@@ -43,14 +45,17 @@ class PythonTick:
             return NOT_FINITE
         if time <= last_time:
             return STALE
+        parts.u["limits.tau_last"][:], parts.u["freeze"][...] = parts.tau_last, freeze
         if not math.isfinite(u.dot(u)):
             return NOT_FINITE
-        parts.u["limits.tau_last"][:], parts.u["freeze"][...] = parts.tau_last, freeze
         self._evaluate()
         if parts.terms["dependent"][0]:
             return DEPENDENT_ROWS
         free = Solution(parts.terms["x_eq"], parts.terms["y_eq"], self._none)
-        rough = self._solver.solve(parts.qp, free)
+        self._is_free = self._starts_free and self._residual(free) <= WELL_POLISHED
+        if self._is_free:
+            return self._note(free)
+        rough = self._solver.solve(parts.qp)
         if not rough.feasible:
             return INFEASIBLE
         if not self._polished(rough, free) <= self._tolerance:
@@ -76,14 +81,10 @@ class PythonTick:
         return known
 
     def calls(self) -> dict[str, Callable[[], object]]:
-        """Return the parts of a tick as calls."""
-        parts = self._parts
-        free = Solution(parts.terms["x_eq"], parts.terms["y_eq"], self._none)
-        return {
-            "graph": parts.tick,
-            "QP": partial(self._solver.solve, parts.qp, free),
-            "certificate": parts.certificate,
-        }
+        """Return the parts of a tick without active limits as calls."""
+        parts, solve = self._parts, partial(self._solver.solve, self._parts.qp)
+        qp: dict[str, Callable[[], object]] = {} if self._starts_free else {"QP": solve}
+        return {"graph": parts.tick, **qp, "certificate": parts.certificate}
 
     def _evaluate(self) -> None:
         """Evaluate the graph; near a singularity once more, with a damped Λ⁻¹."""
@@ -102,7 +103,7 @@ class PythonTick:
         Returns its KKT residual.
         """
         qp = self._parts.qp
-        unlimited = rough is free or not (rough.z.any() or np.any(active_set(qp, rough)))
+        unlimited = not (rough.z.any() or np.any(active_set(qp, rough)))
         if unlimited and (kkt := self._residual(free)) <= WELL_POLISHED:
             return kkt
         polished = self._polish.on_active_set(qp, rough)
@@ -118,8 +119,8 @@ class PythonTick:
         (x, y, z), out = parts.point, parts.certificate.outputs
         x[:], y[:], z[:] = solution[:3]
         parts.certificate()
-        tau = out["tau"]
-        if not math.isfinite(x.dot(x) + y.dot(y) + z.dot(z) + tau.dot(tau)):
+        whole, tau = parts.whole_point, out["tau"]
+        if not math.isfinite(whole.dot(whole) + tau.dot(tau)):
             return math.inf  # the maximum in the certificate passes over NaN
         return float(max(out["kkt"].tolist()))
 
@@ -127,8 +128,11 @@ class PythonTick:
         """Write what the tick leaves behind and return its code."""
         parts, named = self._parts, self._parts.named
         x, _, z = parts.point
-        T, t = self._torque_map
-        named["tau_solver"][:] = T @ rough.x + t
+        if self._is_free:
+            named["tau_solver"][:] = named["tau_qp"]
+        else:
+            T, t = self._torque_map
+            named["tau_solver"][:] = T @ rough.x + t
         named["lam"][:] = x[len(x) - len(named["lam"]) :]
         named["z"][:] = z
         named["time"][0] = parts.clock[0]
@@ -139,7 +143,7 @@ class PythonTick:
             parts.limited.inputs["tau"][:] = named[f"tau_{self._law}"]
             parts.limited.inputs["v"][:] = parts.inputs["v"]
             parts.limited()
-        if z.any() and np.abs(z).max() > ACTIVE_DUAL:
+        if not self._is_free and z.any() and np.abs(z).max() > ACTIVE_DUAL:
             parts.explanation()
             return LIMITED
         return SOLVED

@@ -62,35 +62,26 @@ class Solution(NamedTuple):
 class Solver(Protocol):
     """A solver for QPs of one size, called once a tick."""
 
-    def solve(self, qp: QpData, free: Solution | None = None) -> Solution:
-        """Return the solver's answer; accuracy is judged by the caller.
-
-        Args:
-            qp: the QP.
-            free: its minimiser without the inequalities, for those who start from there.
-        """
+    def solve(self, qp: QpData) -> Solution:
+        """Return the solver's answer; accuracy is judged by the caller."""
 
     def reset(self) -> None:
         """Forget what earlier calls left behind: the next answer is that of a new solver."""
 
 
 class ActiveSet:
-    """The minimiser without inequalities where it keeps them; else daqp's dual active-set method.
+    """daqp's dual active-set method, for ticks whose minimiser without inequalities violates one.
 
-    In a compiled tick, ``native/qp.c`` does both.
+    The tick itself sees to the others. In a compiled one ``native/qp.c`` does both.
     Source: Goldfarb1983; Arnstrom2022.
     """
 
     def __init__(self) -> None:
-        self._with_limits = QpSolvers("daqp")
+        self._daqp = QpSolvers("daqp")
 
-    def solve(self, qp: QpData, free: Solution | None = None) -> Solution:
-        """Return the solution; ``free`` itself where no inequality binds."""
-        if free is not None:
-            Cx = qp.C @ free.x
-            if (Cx >= qp.lb).all() and (Cx <= qp.ub).all():
-                return free
-        return self._with_limits.solve(qp)
+    def solve(self, qp: QpData) -> Solution:
+        """Return the solution."""
+        return self._daqp.solve(qp)
 
     def reset(self) -> None:
         """Forget nothing: every call starts afresh."""
@@ -110,7 +101,7 @@ class ProxSuite:
         self._point: tuple[Any, Any, Any] = (None, None, None)
         self._last_resort = QpSolvers("daqp")
 
-    def solve(self, qp: QpData, free: Solution | None = None) -> Solution:
+    def solve(self, qp: QpData) -> Solution:
         """Return the solution, started from the last one."""
         if self._qp is None:
             self._start(qp)
@@ -149,7 +140,7 @@ class QpSolvers:
         self._name = name
         self._sparse = name not in qpsolvers.dense_solvers
 
-    def solve(self, qp: QpData, free: Solution | None = None) -> Solution:
+    def solve(self, qp: QpData) -> Solution:
         """Return the back-end's solution."""
         fixed = qp.lb == qp.ub  # as two inequalities they would depend on each other
         upper, lower = (qp.ub < UNBOUNDED) & ~fixed, (qp.lb > -UNBOUNDED) & ~fixed

@@ -113,10 +113,11 @@ def _equivalence_table(rows: list[Row]) -> Table:
     for row in rows:
         gaps = (
             *(row.law_gap, row.own_gap, row.textbook_gap, row.curvature_gap),
-            *(row.kkt, row.compiled_gap),
+            row.kkt,
         )
+        compiled = "–" if row.compiled_gap is None else f"{row.compiled_gap:.1e}"
         table.add_row(
-            *(row.robot, str(row.k), str(row.states), *(f"{gap:.1e}" for gap in gaps)),
+            *(row.robot, str(row.k), str(row.states), *(f"{gap:.1e}" for gap in gaps), compiled),
             *(str(row.limited), f"{row.solver_gap:.1e}", str(row.damped), str(row.unsolved)),
         )
     return table

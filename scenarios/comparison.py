@@ -13,6 +13,7 @@ from qpctrl.engine import Engine
 from qpctrl.limit import UNBOUNDED
 from qpctrl.memory import Measurement, remember
 from qpctrl.mode import Mode
+from qpctrl.native_tick import NativeTick
 from qpctrl.objective import Weighted
 from qpctrl.polish import Polish
 from qpctrl.report import TickReport
@@ -61,10 +62,13 @@ class Comparison:
             )
 
         self._engine = engine(compiled)
-        self._interpreted = None if compiled == "no" else engine("no")
+        compiled_tick = isinstance(self._engine.runner, NativeTick)
+        self._interpreted = engine("no") if compiled_tick else None
         self._second, self._form = make_solver(second), form
         self._polish = Polish(*(len(self._engine.terms[name]) for name in ("g", "b", "lb")))
         self._worst = dict.fromkeys(WORST, 0.0)
+        if not compiled_tick:
+            del self._worst["compiled_gap"]
         self._limited = self._damped = self._unsolved = 0
 
     def run(self, states: int, watch: Callable[[Case, int], None] | None) -> Row:
@@ -117,10 +121,11 @@ class Comparison:
         engine = self._engine
         x = engine.tick.memory.vector()
         rest = remember("compare", np.zeros(self._robot.nu), q, x)
-        _, report, _ = engine.step(Measurement(0.0, q, v), {}, rest)
+        seen = Measurement(0.0, q, v)
+        found = engine.quick(seen, {}, rest._replace(time=-1.0)) if engine.quick else 0
+        _, report, _ = engine.step(seen, {}, rest) if isinstance(found, int) else found
         if report.status is not Status.OK:
-            self._damped += report.damping > 0
-            self._unsolved += report.damping == 0
+            self._unsolved += 1
             return None
         if self._interpreted is not None and not report.damping:
             for name, value in engine.inputs.items():

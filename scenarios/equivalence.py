@@ -59,13 +59,16 @@ class Row:
     it in the reduced form."""
     unsolved: int
     """States that the solver left without a solution of the demanded accuracy."""
-    compiled_gap: float = 0.0
-    """Compiled tick − interpreted tick, relative, with and without limits; 0 if interpreted."""
+    compiled_gap: float | None = None
+    """Compiled tick − interpreted tick, relative, with and without limits; none if interpreted."""
 
     def criteria(self) -> tuple[Criterion, ...]:
         """Return what this line promises."""
         where = f"{self.robot} k={self.k}"
+        gap = self.compiled_gap
+        same = () if gap is None else (Criterion(f"{where} compiled", gap, SAME_CODE, "× max |τ|"),)
         return (
+            *same,
             Criterion(f"{where} QP = hybrid", self.law_gap, EQUALITY, "× max |τ|"),
             Criterion(
                 f"{where} QP − textbook = curvature", self.curvature_gap, EQUALITY, "× max |τ|"
@@ -75,5 +78,4 @@ class Row:
             Criterion(f"{where} torque beyond limit", self.overshoot, OVERSHOOT, "Nm"),
             Criterion(f"{where} two solvers", self.solver_gap, AGREEMENT, "× max |τ|"),
             Criterion(f"{where} unsolved", self.unsolved, 0, "states"),
-            Criterion(f"{where} compiled", self.compiled_gap, SAME_CODE, "× max |τ|"),
         )

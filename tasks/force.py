@@ -42,7 +42,8 @@ class ForceReference(NamedTuple):
 
     def arrays(self) -> Mapping[str, Array]:
         """Return the task inputs that this reference sets."""
-        return {"F_ref": self.F_ref, "F_meas": self.F_meas, **self.gains}
+        given = {"F_ref": self.F_ref, "F_meas": self.F_meas}
+        return {**given, **self.gains} if self.gains else given
 
 
 @final

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from cases import needs_compiler
 
 from qpctrl import law, model
 from qpctrl.spatial import AXES
@@ -21,6 +22,24 @@ def test_qp_equals_the_closed_forms_and_a_second_solver(case: Case, form: str) -
     assert row.limited > FEW // 3  # limits did bind
     if case.k:
         assert row.textbook_gap > 1e-6  # and the textbook law is another one
+
+
+@needs_compiler
+@pytest.mark.parametrize("form", ["reduced", "full"])
+@pytest.mark.parametrize("case", [CASES[0], CASES[3], CASES[-1]], ids=str)
+def test_compiled_ticks_keep_the_table_and_equal_the_interpreted(case: Case, form: str) -> None:
+    (row,) = compare(states=FEW, cases=(case,), form=form, compiled="yes")
+    assert not [criterion for criterion in row.criteria() if not criterion.passed]
+    assert row.compiled_gap is not None
+    assert 0 < row.compiled_gap < 1e-10
+    assert row.limited > FEW // 3
+
+
+def test_where_nothing_is_compiled_the_table_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CC", "no-such-compiler")
+    (row,) = compare(states=2, cases=CASES[:1], compiled="auto")
+    assert row.compiled_gap is None
+    assert not any("compiled" in criterion.name for criterion in row.criteria())
 
 
 def test_a_wrong_law_is_noticed(monkeypatch) -> None:

@@ -442,7 +442,7 @@ class OneShot:
     def __init__(self) -> None:
         self._used = False
 
-    def solve(self, qp: QpData, free: Solution | None = None) -> Solution:
+    def solve(self, qp: QpData) -> Solution:
         """Return the solution of the first QP."""
         found = make_solver("daqp").solve(qp)._replace(feasible=not self._used)
         self._used = True

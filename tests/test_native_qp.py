@@ -87,7 +87,7 @@ def solve(tmp_path_factory: pytest.TempPathFactory) -> Solve:
     subprocess.run(command, check=True)
     library = ctypes.CDLL(str(path))
 
-    def run(problem: Problem, fill: float = np.nan) -> Answer:
+    def run(problem: Problem, fill: float = np.nan, *, always: bool = False) -> Answer:
         qp = problem.qp
         given = [np.asfortranarray(part, dtype=float) for part in (*qp, *problem[1:])]
         sizes = (n, m, r) = len(qp.g), len(qp.b), len(qp.lb)
@@ -95,7 +95,7 @@ def solve(tmp_path_factory: pytest.TempPathFactory) -> Solve:
         made = [np.full(length + GUARD, fill) for length in lengths]
         iw = np.full(library.qpctrl_qp_iwork(*sizes) + GUARD, -1234, dtype=np.intc)
         places = [part.ctypes.data_as(ctypes.c_void_p) for part in (*given, *made, iw)]
-        code = library.qpctrl_qp(*sizes, *places)
+        code = library.qpctrl_qp(*sizes, *places, always)
         for part, before in zip(given, (*qp, *problem[1:]), strict=True):
             assert np.array_equal(part, before, equal_nan=True)
         for part in made:
@@ -278,6 +278,20 @@ def test_the_free_minimiser_comes_back_to_the_bit_where_it_keeps_all_rows(solve:
         _, x_eq, y_eq = problem
         for ours, theirs in ((found.x, x_eq), (found.rough_x, x_eq), (found.y, y_eq)):
             assert ours.tobytes() == theirs.tobytes()
+
+
+def test_an_inexact_minimiser_is_refined_where_that_is_asked_for(solve: Solve) -> None:
+    rng = np.random.default_rng(4)
+    for r in (0, 7, 40):
+        qp = drawn(rng, 9, 2, r)
+        exact = freed(qp._replace(lb=np.full(r, -np.inf), ub=np.full(r, UNBOUNDED)))
+        spoilt = exact._replace(x_eq=exact.x_eq * (1 + 1e-8), y_eq=exact.y_eq * (1 - 1e-8))
+        left, found = solve(spoilt), solve(spoilt, always=True)
+        assert (found.code, found.z.tolist()) == (SOLVED, [0.0] * r)
+        assert found.rough_x.tobytes() == spoilt.x_eq.tobytes()
+        scale = np.abs(exact.x_eq).max()
+        assert np.abs(left.x - exact.x_eq).max() > 1e-9 * scale
+        assert np.abs(found.x - exact.x_eq).max() < 1e-13 * scale
 
 
 @pytest.mark.parametrize("missed", [1e-11, 1e-6, 1.0])

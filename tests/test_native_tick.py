@@ -143,8 +143,8 @@ def run(controller: Controller, ticks: int = 300) -> list[Step]:
 @pytest.mark.parametrize("law", ["qp", "hybrid", "textbook"])
 def test_both_ways_to_run_a_tick_agree(law: Law, form: str) -> None:
     compiled, interpreted = (make(how, law, form=form) for how in ("yes", "no"))
-    assert type(compiled.engines["contact"]._runner) is NativeTick
-    assert type(interpreted.engines["contact"]._runner) is PythonTick
+    assert type(compiled.engines["contact"].runner) is NativeTick
+    assert type(interpreted.engines["contact"].runner) is PythonTick
     both = list(zip(run(compiled), run(interpreted), strict=True))
     for i, (one, two) in enumerate(both):
         assert one.report.status is two.report.status, i
@@ -190,6 +190,34 @@ def test_rows_that_depend_on_each_other_are_named_alike() -> None:
         )
         names.append((report.status, report.dependent_rows))
     assert names == [(Status.DEPENDENT_ROWS, ("pfaffian.row1",))] * 2
+
+
+@pytest.mark.parametrize("form", ["reduced", "full"])
+def test_an_inexact_minimiser_is_refined_in_both(form: str) -> None:
+    """With six rows near a singularity the minimiser of the graph misses the accuracy."""
+    robot, outcomes = ROBOTS["arm_7"](), []
+    for compile in ("yes", "no"):
+        controller = Controller(robot, [given_mode(robot, SPACE, 6)], form=form, compile=compile)
+        found, rng = [], np.random.default_rng(3)
+        for _ in range(400):
+            q = robot.home + rng.uniform(-3, 3, 7)
+            given = {
+                "motion": Given(a_cmd=rng.normal(size=6)),
+                "force": Given(F_cmd=10 * rng.normal(size=6)),
+                "limits": Given(q_max=np.full(7, 1e19), q_min=np.full(7, -1e19)),
+            }
+            start = controller.start("contact", q)
+            seen = Measurement(0.0, q, rng.normal(size=7))
+            _, report, _ = controller.step("contact", seen, given, start)
+            found.append(report)
+        outcomes.append(found)
+    refined = [r for r in outcomes[0] if r.status is Status.OK and r.solver_gap > 0]
+    assert refined or form == "full"  # no state of these is inexact enough there
+    for one, two in zip(*outcomes, strict=True):
+        assert one.status is two.status
+        if one.status is Status.OK and not one.damping:
+            largest = np.abs(two.tau_qp).max()
+            assert np.abs(one.tau_qp - two.tau_qp).max() <= SAME * largest
 
 
 def test_near_a_singularity_both_ways_damp_alike() -> None:
@@ -251,8 +279,8 @@ def test_what_a_tick_returned_stays_as_it_was() -> None:
 def test_the_way_in_from_python_and_the_one_in_c_give_the_same_bits() -> None:
     quick, plain = make("yes"), make("yes")
     for engine in plain.engines.values():
-        assert engine._quick is not None  # this machine has the headers
-        engine._quick = None
+        assert engine.quick is not None  # this machine has the headers
+        engine.quick = None
     for i, (one, two) in enumerate(zip(run(quick), run(plain), strict=True)):
         assert one.report.status is two.report.status, i
         assert one.tau.tobytes() == two.tau.tobytes()
@@ -306,6 +334,13 @@ def test_unknown_tasks_and_inputs_are_named() -> None:
             controller.step("contact", measured(0, controller.robot), everything, memory)
 
 
+def resident() -> int:
+    """Return the memory of this process that is in use now [bytes]."""
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * resource.getpagesize()
+
+
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="needs /proc")
 def test_ticks_leave_no_memory_behind_and_engines_go() -> None:
     controller = make("yes")
     given, memory = references(0, controller.robot), controller.start("free", np.zeros(7))
@@ -318,10 +353,9 @@ def test_ticks_leave_no_memory_behind_and_engines_go() -> None:
         return memory
 
     memory = many(controller, 2000, memory)
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    before = resident()
     many(controller, 20_000, memory._replace(time=-np.inf))
-    grown = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
-    assert grown < 4000  # kB; a leak of one report a tick would be 30 MB
+    assert resident() - before < 4e6  # bytes; a leak of one report a tick would be 30 MB
     gone = weakref.ref(controller.engines["free"])
     del controller
     gc.collect()

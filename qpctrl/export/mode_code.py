@@ -13,6 +13,7 @@ from qpctrl.law import Law
 from qpctrl.layout import Layout
 from qpctrl.native_tick import tick_arrays
 from qpctrl.parts import TickParts, build_functions
+from qpctrl.report import ACTIVE_DUAL
 
 SHOWN = ("tau_qp", "tau_hybrid", "tau_textbook", "lam", "kkt", "gaps", "z", "kind", "damping")
 """What a tick leaves behind that the report of an exported controller shows."""
@@ -85,6 +86,7 @@ class ModeCode:
             **{"nv": robot.nv, "nu": robot.nu, "n": n, "m": m, "r": r, "k": tick.mode_rows},
             **{"n_u": len(self.inputs), "n_x": tick.memory.size},
             **{"law": get_args(Law).index(controller.law), "tolerance": controller.kkt_tolerance},
+            "active_dual": ACTIVE_DUAL,
         }
 
     @property

@@ -48,12 +48,9 @@ static double *aligned(double *work)
     return past ? work + (32 - past) / sizeof *work : work;
 }
 
-/* Make the pointers lead into this struct, wherever it was copied from. */
-static void bind(qpctrl_controller *c)
+/* Make the pointers lead into this struct. */
+static void lead(qpctrl_controller *c)
 {
-    if (c->bound == c) {
-        return;
-    }
     for (int i = 0; i < QPCTRL_MODES; ++i) {
         const qpctrl_mode *mode = &qpctrl_modes[i];
         double *numbers = c->numbers + mode->first;
@@ -72,6 +69,16 @@ static void bind(qpctrl_controller *c)
         t->iwork = c->iwork;
     }
     c->bound = c;
+}
+
+/* Make a struct usable that was copied, or is all zeros still. */
+static void bind(qpctrl_controller *c)
+{
+    if (c->bound == NULL) {
+        qpctrl_init(c);
+    } else if (c->bound != c) {
+        lead(c);
+    }
 }
 
 /* References from before must not be followed when the mode is entered again. */
@@ -163,7 +170,7 @@ static void hold(qpctrl_controller *c)
 void qpctrl_init(qpctrl_controller *c)
 {
     memset(c, 0, sizeof *c);
-    bind(c);
+    lead(c);
     for (int i = 0; i < QPCTRL_MODES; ++i) {
         copy(c->ticks[i].u, qpctrl_modes[i].u, c->ticks[i].n_u);
         forget_references(c, i);

@@ -94,9 +94,17 @@ static int load(const binding *b, PyObject *measurement, PyObject *references, P
           take_vector(PyTuple_GET_ITEM(memory, PACKED), t->last, b->remembered))) {
         return 0;
     }
-    t->clock[0] = PyFloat_AsDouble(PyTuple_GET_ITEM(measurement, TIME));
+    PyObject *const time = PyTuple_GET_ITEM(measurement, TIME);
+    PyObject *const freeze = PyTuple_GET_ITEM(memory, FREEZE);
+    if (!PyFloat_Check(time) || !PyBool_Check(freeze)) {
+        return 0;
+    }
+    t->clock[0] = PyFloat_AsDouble(time);
     t->clock[1] = PyFloat_AsDouble(PyTuple_GET_ITEM(memory, LAST_TIME));
-    t->clock[2] = PyTuple_GET_ITEM(memory, FREEZE) == Py_True;
+    t->clock[2] = freeze == Py_True;
+    if (PyTuple_GET_ITEM(memory, MODE) != b->mode || t->clock[1] == -Py_HUGE_VAL) {
+        return 0; /* the first tick, or another mode: Python carries over what both remember */
+    }
     PyObject *task, *reference;
     for (Py_ssize_t i = 0; PyDict_Next(references, &i, &task, &reference);) {
         if (!refer(b, task, reference)) {
@@ -110,12 +118,13 @@ static PyObject *view(PyObject *numbers, npy_intp size)
 {
     void *data = PyArray_DATA((PyArrayObject *)numbers);
     PyObject *part = PyArray_SimpleNewFromData(1, &size, NPY_DOUBLE, data);
-    Py_INCREF(numbers);
-    if (part && PyArray_SetBaseObject((PyArrayObject *)part, numbers) == 0) {
-        return part;
+    if (part) {
+        Py_INCREF(numbers); /* the view takes possession of it, whatever comes of it */
+        if (PyArray_SetBaseObject((PyArrayObject *)part, numbers) < 0) {
+            Py_CLEAR(part);
+        }
     }
-    Py_XDECREF(part);
-    return NULL;
+    return part;
 }
 
 /* A named tuple of `count` items, of which it takes possession; NULL if one of them is. */
@@ -176,8 +185,7 @@ static PyObject *step(PyObject *self, PyObject *const *args, Py_ssize_t count)
 {
     const binding *b = PyCapsule_GetPointer(self, NULL);
     if (count != 3 || !load(b, args[0], args[1], args[2])) {
-        PyErr_Clear(); /* Python says what is wrong, if anything is */
-        return PyLong_FromLong(NOT_LOADED);
+        return PyErr_Occurred() ? NULL : PyLong_FromLong(NOT_LOADED);
     }
     const int code = b->solve(b->tick);
     return code > QPCTRL_LIMITED ? PyLong_FromLong(code)

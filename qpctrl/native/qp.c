@@ -215,10 +215,11 @@ static int pulling(Qp *p, double same)
     return mu < -same * largest_of(1, p->q, p->mu) ? least : -1;
 }
 
-/* From the violated row i on. What refinement uncovers is looked for less closely every time. */
+/* From the violated row i on, or from -1 where none is. What refinement uncovers is looked for less closely every time. */
 static int solve(Qp *p, int i, double *rough_x)
 {
     double same = SAME, error = 0;
+    if (i < 0) error = refine(p), i = violated(p, same);
     while (i >= 0) {
         int code;
         do {
@@ -259,7 +260,7 @@ int qpctrl_qp_iwork(int n, int m, int r) { return n + m + r + 1; }
 int qpctrl_qp(int n, int m, int r, const double *H, const double *g, const double *A,
               const double *b, const double *C, const double *lb, const double *ub,
               const double *x_eq, const double *y_eq, double *x, double *y, double *z,
-              double *rough_x, double *w, int *iw)
+              double *rough_x, double *w, int *iw, int always)
 {
     Qp p = {.g = g, .b = b, .C = C, .lb = lb, .ub = ub, .basic = iw, .row = iw + m};
     int code = QPCTRL_QP_SOLVED, crossed = 0, unknown = 0;
@@ -277,7 +278,7 @@ int qpctrl_qp(int n, int m, int r, const double *H, const double *g, const doubl
         !are_finite(n, g) || !are_finite(m, b) || !are_finite(n * n, H) || !are_finite(m * n, A))
         return QPCTRL_QP_FAILED;
     if (crossed) return QPCTRL_QP_INFEASIBLE;
-    if (worst >= 0) {
+    if (worst >= 0 || always) {
         widen(n, n, p.ld, H, 1, n, p.H);
         widen(n, m, p.ld, A, m, 1, p.At);
         assign(p.ld * m, p.At, p.T);

@@ -4,8 +4,8 @@
 #include <math.h>
 #include <string.h>
 
-/* A row counts as active when its dual is larger than this. */
-#define ACTIVE_DUAL 1e-8
+/* KKT residual below which the minimiser without inequalities is taken as it is. */
+#define WELL_POLISHED 1e-12
 
 static void copy(double *to, const double *from, int n)
 {
@@ -14,18 +14,25 @@ static void copy(double *to, const double *from, int n)
 
 static int all_finite(const double *values, int n)
 {
-    double sum = 0.0; /* infinities and NaN stay when multiplied by 0 and added */
-    for (int i = 0; i < n; ++i) {
-        sum += 0.0 * values[i];
+    double sum[4] = {0.0}; /* infinities and NaN stay when multiplied by 0 and added */
+    int i = 0;
+    for (; i + 4 <= n; i += 4) { /* four sums that do not wait for each other */
+        for (int j = 0; j < 4; ++j) {
+            sum[j] += 0.0 * values[i + j];
+        }
     }
-    return sum == 0.0;
+    for (; i < n; ++i) {
+        sum[0] += 0.0 * values[i];
+    }
+    return sum[0] + sum[1] + sum[2] + sum[3] == 0.0;
 }
 
 static double largest(const double *values, int n)
 {
     double most = 0.0;
     for (int i = 0; i < n; ++i) {
-        most = fmax(most, fabs(values[i]));
+        const double size = fabs(values[i]);
+        most = size > most ? size : most;
     }
     return most;
 }
@@ -57,8 +64,6 @@ static void keep_within_limits(const qpctrl_tick *t, const double *tau, const do
 /* Near a singularity the tick is evaluated again, with a damped inertia. */
 static void evaluate_tick(const qpctrl_tick *t)
 {
-    copy(t->u_tau_last, t->last, t->nu);
-    *t->u_freeze = t->clock[2];
     *t->u_mu = 0.0;
     evaluate(&t->tick);
     *t->damping = *t->damping_wanted;
@@ -74,6 +79,29 @@ static int accurate(const qpctrl_tick *t)
            all_finite(t->tau_qp, t->nu) && all_finite(t->kkt, 4) && largest(t->kkt, 4) <= t->tolerance;
 }
 
+/* Outcome of the QP, refined at once or not; results: the point, tau_qp, kkt, gaps. */
+static int solve_qp(const qpctrl_tick *t, int refined)
+{
+    const int found = qpctrl_qp(t->n, t->m, t->r, t->H, t->g, t->A, t->b, t->C, t->lb, t->ub,
+                                t->x_eq, t->y_eq, t->point_x, t->point_y, t->point_z, t->rough,
+                                t->work, t->iwork, refined);
+    if (found == QPCTRL_QP_SOLVED) {
+        evaluate(&t->certificate);
+        return QPCTRL_FREE;
+    }
+    return found == QPCTRL_QP_INFEASIBLE ? QPCTRL_INFEASIBLE : QPCTRL_INACCURATE;
+}
+
+/* The minimiser without inequalities comes from the graph; where it is inexact it is refined. */
+static int solve_and_certify(const qpctrl_tick *t)
+{
+    int failed = solve_qp(t, 0);
+    if (!failed && largest(t->point_z, t->r) == 0.0 && !(largest(t->kkt, 4) <= WELL_POLISHED)) {
+        failed = solve_qp(t, 1);
+    }
+    return failed ? failed : accurate(t) ? QPCTRL_FREE : QPCTRL_INACCURATE;
+}
+
 int qpctrl_solve(const qpctrl_tick *t)
 {
     if (!(all_finite(t->q, t->nv) && all_finite(t->v, t->nv) && all_finite(t->clock, 1))) {
@@ -82,6 +110,8 @@ int qpctrl_solve(const qpctrl_tick *t)
     if (t->clock[0] <= t->clock[1]) {
         return QPCTRL_STALE;
     }
+    copy(t->u_tau_last, t->last, t->nu);
+    *t->u_freeze = t->clock[2];
     if (!all_finite(t->u, t->n_u)) {
         return QPCTRL_NOT_FINITE;
     }
@@ -89,15 +119,9 @@ int qpctrl_solve(const qpctrl_tick *t)
     if (*t->dependent != 0.0) {
         return QPCTRL_DEPENDENT_ROWS;
     }
-    const int found = qpctrl_qp(t->n, t->m, t->r, t->H, t->g, t->A, t->b, t->C, t->lb, t->ub,
-                                t->x_eq, t->y_eq, t->point_x, t->point_y, t->point_z, t->rough,
-                                t->work, t->iwork);
-    if (found != 0) {
-        return found == 1 ? QPCTRL_INFEASIBLE : QPCTRL_INACCURATE;
-    }
-    evaluate(&t->certificate); /* results: tau_qp, kkt, gaps */
-    if (!accurate(t)) {
-        return QPCTRL_INACCURATE;
+    const int failed = solve_and_certify(t);
+    if (failed) {
+        return failed;
     }
     torque_of(t, t->rough, t->tau_solver);
     copy(t->lam, t->point_x + (t->n - t->k), t->k);
@@ -109,7 +133,7 @@ int qpctrl_solve(const qpctrl_tick *t)
     } else {
         keep_within_limits(t, t->law == QPCTRL_LAW_HYBRID ? t->tau_hybrid : t->tau_textbook, t->v);
     }
-    if (largest(t->z, t->r) > ACTIVE_DUAL) {
+    if (largest(t->z, t->r) > t->active_dual) {
         evaluate(&t->explanation); /* results: what binds, what gives way */
         return QPCTRL_LIMITED;
     }

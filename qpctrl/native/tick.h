@@ -6,6 +6,10 @@
 #ifndef QPCTRL_TICK_H
 #define QPCTRL_TICK_H
 
+#if defined(__FAST_MATH__) || (defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__)
+#error "a tick must see what is no number: compile without -ffast-math and -ffinite-math-only"
+#endif
+
 typedef long long qpctrl_int;
 typedef int (*qpctrl_code)(const double **arg, double **res, qpctrl_int *iw, double *w, int mem);
 
@@ -38,7 +42,8 @@ typedef struct {
     int n, m, r, k;  /* variables, equalities, inequalities of the QP; multipliers */
     int n_u, n_x;    /* packed inputs, packed memory of the tasks */
     int law;
-    double tolerance; /* largest accepted KKT residual */
+    double tolerance;   /* largest accepted KKT residual */
+    double active_dual; /* a row counts as active when its dual is larger than this */
     qpctrl_call tick, certificate, explanation, fallback, limited;
 
     /* What goes in. */

@@ -5,6 +5,8 @@ from typing import NamedTuple
 
 from qpctrl.errors import InputError
 from scenarios.bench.peers import courses, our_loops, our_round, peer_rounds, pose_problem, pythons
+from scenarios.bench.peers.humanoid import humanoid
+from scenarios.bench.peers.run import PeerError
 from scenarios.bench.plan import Plan
 from scenarios.bench.row import Row
 from scenarios.bench.serial import TOOL
@@ -55,8 +57,9 @@ def beside_peers(
         core=core,
         watch=watch,
     )
-    return Beside(
-        rows=compared.rows(joints=robot.nv, compiled=compiled),
-        left_out=compared.left_out,
-        notes=(*faults, *compared.faults),
-    )
+    rows, notes = compared.rows(joints=robot.nv, compiled=compiled), (*faults, *compared.faults)
+    try:
+        rows = (*rows, *((humanoid(found["tsid"], core=core),) if "tsid" in found else ()))
+    except PeerError as error:  # its robot is an extra
+        notes = (*notes, str(error))
+    return Beside(rows=tuple(rows), left_out=compared.left_out, notes=notes)

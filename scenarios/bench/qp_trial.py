@@ -71,9 +71,9 @@ class QpTrial:
         """Take ``count`` samples."""
         solve, given, clock = self._solver.solve, self._given, time.perf_counter_ns
         for i in range(self._at, self._at + WARM + count):
-            qp, free, _ = given[i % len(given)]
+            qp = given[i % len(given)].qp
             started = clock()
-            solve(qp, free)
+            solve(qp)
             ended = clock()
             if i >= self._at + WARM:
                 self._samples.append(ended - started)
@@ -98,7 +98,7 @@ class QpTrial:
         check = Evaluator(build_certificate(engine.tick))
         worst = 0.0
         for problem in self._given:
-            answer = self._solver.solve(problem.qp, problem.free)
+            answer = self._solver.solve(problem.qp)
             given = {**problem.terms, **answer._asdict()}
             for name, place in check.inputs.items():
                 place[...] = given[name].reshape(place.shape)
