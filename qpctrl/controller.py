@@ -129,8 +129,9 @@ class Controller:
                 reference where one is needed.
         """
         engine = self.engines.get(mode) or self._engine(mode)
-        if engine.quick is not None:
-            done = engine.quick(measurement, references, memory)
+        quick = engine.quick
+        if quick is not None:
+            done = quick(measurement, references, memory)
             if not isinstance(done, int):
                 return done
             if done > LIMITED:

@@ -78,7 +78,7 @@ class Engine:
         self._bind(robot)
         self.quick: QuickStep | None = None
         if isinstance(self.runner, NativeTick):
-            self.quick, why = quick_step(self.runner, self.parts, self.format)
+            self.quick, why = quick_step(self.runner, self.parts, self.format, self._sizes)
             self.note += f"; called through Python: {why}" if self.quick is None else ""
         self.reset()
 
@@ -90,6 +90,7 @@ class Engine:
         self._q, self._v = _quick(parts.inputs["q"]), _quick(parts.inputs["v"])
         self._last, self._clock = _quick(parts.last), _quick(parts.clock)
         self._nu, self._remembered = robot.nu, len(parts.last)
+        self._sizes = robot.nu, robot.nv, self.tick.memory.size
         self.inputs = parts.u
         self._places: dict[str, tuple[dict[str, Any], dict[str, Array]]] = {}
         for name, array in self.inputs.items():
@@ -139,10 +140,10 @@ class Engine:
         """
         time, q, v, contact = measurement
         try:
-            self._q[:], self._v[:], self._last[:] = q, v, memory.packed
+            self._q[:], self._v[:] = q, v
         except (TypeError, ValueError):  # no vectors of float64, or too long
             self._put_state(q, v)
-            self._last[:] = memory.packed
+        self._last[:] = memory.packed[: self._remembered]
         clock = self._clock
         clock[0], clock[1], clock[2] = time, memory.time, memory.freeze
         for task, reference in references.items():
@@ -153,11 +154,11 @@ class Engine:
         numbers = self._numbers.copy()
         limited = code == LIMITED
         freeze = limited or (self._has_rows and not contact.closed)
-        kept, fallbacks = numbers[: self._remembered], memory.fallback_ticks
+        fallbacks = memory.fallback_ticks
         return (
             new(Command, (numbers[: self._nu], False)),
             new(TickReport, (self.format, numbers, OK, contact, limited, ())),
-            new(Memory, (self._name, kept, memory.sizes, time, contact, freeze, fallbacks)),
+            new(Memory, (self._name, numbers, self._sizes, time, contact, freeze, fallbacks)),
         )
 
     def calls(self) -> dict[str, Callable[[], object]]:

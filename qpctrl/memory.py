@@ -27,9 +27,9 @@ class Memory(NamedTuple):
 
     mode: str
     packed: Vector
-    """``tau``, ``q`` and ``x``, one after the other."""
-    sizes: tuple[int, int]
-    """Lengths nu and nq of the first two."""
+    """``tau``, ``q`` and ``x``, one after the other; what may follow is not remembered."""
+    sizes: tuple[int, int, int]
+    """Their lengths."""
     time: float
     """Time of the last good measurement [s]."""
     contact: ContactPhase = ContactPhase.PRESS
@@ -47,14 +47,14 @@ class Memory(NamedTuple):
     @property
     def q(self) -> Vector:
         """Configuration of the last good measurement (nq) [rad or m]."""
-        return self.packed[self.sizes[0] : sum(self.sizes)]
+        return self.packed[self.sizes[0] : sum(self.sizes[:2])]
 
     @property
     def x(self) -> Vector:
         """Memory of the mode's tasks, packed as ``Tick.memory`` says."""
-        return self.packed[sum(self.sizes) :]
+        return self.packed[sum(self.sizes[:2]) : sum(self.sizes)]
 
 
 def remember(mode: str, tau: Vector, q: Vector, x: Vector, time: float = -math.inf) -> Memory:
     """Return the memory of a controller that has sent ``tau`` (nu) [Nm] in ``q`` (nq)."""
-    return Memory(mode, np.concatenate((tau, q, x)), (len(tau), len(q)), time)
+    return Memory(mode, np.concatenate((tau, q, x)), (len(tau), len(q), len(x)), time)

@@ -36,9 +36,16 @@ PLACE = struct.Struct("@Pinn")
 
 
 def quick_step(
-    native: NativeTick, parts: TickParts, format: ReportFormat
+    native: NativeTick, parts: TickParts, format: ReportFormat, sizes: tuple[int, int, int]
 ) -> tuple[QuickStep | None, str]:
-    """Return the way into a tick; none where it cannot be compiled, and why."""
+    """Return the way into a tick; none where it cannot be compiled, and why.
+
+    Args:
+        native: the tick.
+        parts: its buffers.
+        format: of its reports.
+        sizes: of what its memory holds.
+    """
     library, why = _library()
     if library is None:
         return None, why
@@ -48,7 +55,8 @@ def quick_step(
         if dot:
             places.setdefault(task, {})[own] = _place(array)
     given = (
-        *(native.owner, places, format.mode, format, Status.OK, Command, TickReport, Memory),
+        *(native.owner, places, format.mode, format, sizes),
+        *(Status.OK, Command, TickReport, Memory),
         *(parts.numbers.ctypes.data, len(parts.numbers), len(parts.last)),
         format.layout.place("lam").stop > format.layout.place("lam").start,
     )

@@ -417,7 +417,8 @@ def bits(step: Step) -> list[bytes]:
         for name in report.format.layout.names
         if name not in unsaid
     ]
-    numbers = [np.asarray(x).tobytes() for x in (*step.command, *step.memory) if x is not None]
+    remembered = step.memory.tau, step.memory.q, step.memory.x
+    numbers = [np.asarray(x).tobytes() for x in (*step.command, *remembered, *step.memory[2:])]
     return [*numbers, *said, repr((report.status, report.contact, named)).encode(), *lost]
 
 

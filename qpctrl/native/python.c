@@ -25,7 +25,7 @@ typedef struct {
     solver solve;      /* qpctrl_solve of the library that made the tick */
     PyObject *owner;   /* of the memory behind all pointers */
     PyObject *places;  /* task -> input -> place, as bytes */
-    PyObject *mode, *format, *ok, *no_rows, *arrays, *closed;
+    PyObject *mode, *format, *sizes, *ok, *no_rows, *arrays, *closed;
     PyTypeObject *command, *report, *memory;
     const double *numbers; /* all that a tick leaves behind */
     npy_intp size, remembered;
@@ -66,6 +66,21 @@ static int take_vector(PyObject *object, double *to, npy_intp size)
     return take(object, &p);
 }
 
+/* Take the first numbers of a vector that may be longer. */
+static int take_front(PyObject *object, double *to, npy_intp size)
+{
+    if (!PyArray_CheckExact(object)) {
+        return 0;
+    }
+    PyArrayObject *array = (PyArrayObject *)object;
+    if (PyArray_NDIM(array) != 1 || PyArray_TYPE(array) != NPY_DOUBLE ||
+        !PyArray_ISCARRAY_RO(array) || PyArray_DIM(array, 0) < size) {
+        return 0;
+    }
+    memcpy(to, PyArray_DATA(array), (size_t)size * sizeof *to);
+    return 1;
+}
+
 /* Write what a task shall follow into the buffers. */
 static int refer(const binding *b, PyObject *task, PyObject *reference)
 {
@@ -91,7 +106,7 @@ static int load(const binding *b, PyObject *measurement, PyObject *references, P
     }
     if (!(take_vector(PyTuple_GET_ITEM(measurement, Q), t->q, t->nv) &&
           take_vector(PyTuple_GET_ITEM(measurement, V), t->v, t->nv) &&
-          take_vector(PyTuple_GET_ITEM(memory, PACKED), t->last, b->remembered))) {
+          take_front(PyTuple_GET_ITEM(memory, PACKED), t->last, b->remembered))) {
         return 0;
     }
     PyObject *const time = PyTuple_GET_ITEM(measurement, TIME);
@@ -170,8 +185,8 @@ static PyObject *result(const binding *b, int limited, PyObject *measurement, Py
                           kept(b->ok),     kept(contact),
                           PyBool_FromLong(limited), kept(b->no_rows)};
     PyObject *after[] = {kept(b->mode),
-                         view(numbers, b->remembered),
-                         kept(PyTuple_GET_ITEM(memory, SIZES)),
+                         kept(numbers),
+                         kept(b->sizes),
                          kept(PyTuple_GET_ITEM(measurement, TIME)),
                          kept(contact),
                          PyBool_FromLong(freeze),
@@ -195,7 +210,7 @@ static PyObject *step(PyObject *self, PyObject *const *args, Py_ssize_t count)
 static void unbind(PyObject *capsule)
 {
     binding *b = PyCapsule_GetPointer(capsule, NULL);
-    PyObject *owned[] = {b->owner, b->places,  b->mode,   b->format,
+    PyObject *owned[] = {b->owner, b->places,  b->mode,   b->format, b->sizes,
                          b->ok,    b->no_rows, b->arrays, b->closed,
                          (PyObject *)b->command, (PyObject *)b->report, (PyObject *)b->memory};
     for (size_t i = 0; i < sizeof owned / sizeof *owned; ++i) {
@@ -206,7 +221,7 @@ static void unbind(PyObject *capsule)
 
 /* Return step(measurement, references, memory) for a tick.
  *
- * `given`: owner, places, mode, format, Status.OK, types Command, TickReport and Memory, address
+ * `given`: owner, places, mode, format, sizes, Status.OK, types Command, TickReport and Memory, address
  * and length of the numbers, length of what is remembered, whether the mode has rows. */
 PyObject *qpctrl_bind(const qpctrl_tick *tick, solver solve, PyObject *given)
 {
@@ -217,15 +232,15 @@ PyObject *qpctrl_bind(const qpctrl_tick *tick, solver solve, PyObject *given)
     }
     binding *b = PyMem_Calloc(1, sizeof *b);
     Py_ssize_t address, size, remembered;
-    if (!b || !PyArg_ParseTuple(given, "OOOOOOOOnnnp", &b->owner, &b->places, &b->mode, &b->format,
-                                &b->ok, &b->command, &b->report, &b->memory, &address, &size,
+    if (!b || !PyArg_ParseTuple(given, "OOOOOOOOOnnnp", &b->owner, &b->places, &b->mode, &b->format,
+                                &b->sizes, &b->ok, &b->command, &b->report, &b->memory, &address, &size,
                                 &remembered, &b->has_rows)) {
         PyMem_Free(b);
         return NULL;
     }
     b->tick = tick, b->solve = solve, b->numbers = (const double *)address;
     b->size = size, b->remembered = remembered;
-    PyObject *borrowed[] = {b->owner, b->places, b->mode, b->format, b->ok,
+    PyObject *borrowed[] = {b->owner, b->places, b->mode, b->format, b->sizes, b->ok,
                             (PyObject *)b->command, (PyObject *)b->report, (PyObject *)b->memory};
     for (size_t i = 0; i < sizeof borrowed / sizeof *borrowed; ++i) {
         Py_INCREF(borrowed[i]);
