@@ -3,8 +3,6 @@
 import math
 from collections.abc import Mapping, Sequence
 
-import numpy as np
-
 from qpctrl.arrays import Vector, finite_array, positive
 from qpctrl.certificate import KKT_TOLERANCE
 from qpctrl.compiled import CompileMode
@@ -139,7 +137,7 @@ class Controller:
         if memory.mode != mode or memory.time == -math.inf:
             engine.demand(references)
         if memory.mode != mode:
-            memory = memory._replace(mode=mode, packed=self._carry(memory, engine))
+            memory = self._carried(memory, engine)
         return engine.step(measurement, references, memory)
 
     def _engine(self, mode: str) -> Engine:
@@ -147,15 +145,16 @@ class Controller:
             raise unknown_name("mode", mode, self.engines)
         return self.engines[mode]
 
-    def _carry(self, memory: Memory, engine: Engine) -> Vector:
-        """Return what is remembered, with what both modes' tasks share taken over."""
+    def _carried(self, memory: Memory, engine: Engine) -> Memory:
+        """Return the memory in a new mode, with what both modes' tasks share taken over."""
         layout = engine.tick.memory
         x = layout.vector()
         old = self.engines[memory.mode].tick.memory.views(memory.x)
         for name, view in layout.views(x).items():
             if name in old and old[name].shape == view.shape:
                 view[...] = old[name]
-        return np.concatenate((memory.tau, memory.q, x))
+        carried = remember(engine.tick.mode.name, memory.tau, memory.q, x)
+        return memory._replace(mode=carried.mode, packed=carried.packed, sizes=carried.sizes)
 
 
 def _check_choices(form: str, solver: str, law: str, modes: Sequence[Mode]) -> None:

@@ -683,3 +683,18 @@ def test_two_task_spaces_are_compared_with_the_kkt_solution() -> None:
     assert "KKT solution" in report.explain()
     with pytest.raises(InputError, match="no textbook law"):
         Controller(robot, [mode], law="textbook")
+
+
+@pytest.mark.parametrize("mode", ["free", "contact"])
+def test_a_bad_tick_at_a_switch_leaves_the_memory_of_the_new_mode(mode: str) -> None:
+    controller = make_controller()
+    other = "contact" if mode == "free" else "free"
+    given = {"motion": references(0.0)["motion"]}
+    _, _, memory = controller.step(other, measured(0), given, controller.start(other, arm().home))
+    bad = measured(1, v=np.full(7, np.nan))
+    command, report, memory = controller.step(mode, bad, given, memory)
+    assert report.status is Status.NOT_FINITE
+    assert command.fallback
+    assert len(memory.x) == controller.engines[mode].tick.memory.size
+    command, report, memory = controller.step(mode, measured(2), given, memory)
+    assert report.status is Status.OK
