@@ -39,20 +39,9 @@ _ARRAYS = (
     *("H", "g", "A", "b", "C", "lb", "ub", "t", "x_eq", "y_eq", "damping_wanted", "dependent"),
     *("point_x", "point_y", "point_z", "rough"),
     *("tau", "tau_qp", "tau_solver", "tau_hybrid", "tau_textbook", "time", "q_out"),
-    *(
-        "lam",
-        "kkt",
-        "z",
-        "damping",
-        "fallback_q",
-        "fallback_v",
-        "limited_tau",
-        "limited_v",
-        "work",
-        "iwork",
-    ),
+    *("lam", "kkt", "z", "damping", "fallback_q", "fallback_v", "limited_tau", "limited_v"),
+    *("work", "iwork"),
 )
-
 
 _QP = (
     *("H", "g", "A", "b", "C", "lb", "ub", "x_eq", "y_eq"),
@@ -156,17 +145,8 @@ class NativeTick:
 def tick_arrays(parts: TickParts) -> Mapping[str, Array]:
     """Return the arrays of ``qpctrl_tick`` by name, as far as the parts own them."""
     x, y, z = parts.point
-    numbers = (
-        "tau",
-        "tau_qp",
-        "tau_solver",
-        "tau_hybrid",
-        "tau_textbook",
-        "lam",
-        "kkt",
-        "z",
-        "time",
-    )
+    torques = ("tau", "tau_qp", "tau_solver", "tau_hybrid", "tau_textbook")
+    numbers = (*torques, "lam", "kkt", "z", "time")
     held, limited = parts.fallback.inputs, parts.limited.inputs
     return {
         **{name: parts.inputs[name] for name in "qvu"},

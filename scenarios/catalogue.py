@@ -1,5 +1,8 @@
 """All scenarios, by name."""
 
+from collections.abc import Sequence
+
+from qpctrl.errors import InputError, unknown_name
 from scenarios.admittance import Admittance
 from scenarios.conveyor import Conveyor
 from scenarios.crank import Crank
@@ -26,3 +29,16 @@ SCENARIOS: dict[str, type[Scenario]] = {
     )
 }
 """Scenario classes by the name that the command line uses."""
+
+
+def scenario_named(arguments: Sequence[str]) -> type[Scenario]:
+    """Return the scenario that the first argument of a command names.
+
+    Raises:
+        InputError: there is none, or it is unknown.
+    """
+    if not arguments:
+        raise InputError(f"missing SCENARIO; allowed: {', '.join(SCENARIOS)}")
+    if arguments[0] not in SCENARIOS:
+        raise unknown_name("scenario", arguments[0], SCENARIOS)
+    return SCENARIOS[arguments[0]]

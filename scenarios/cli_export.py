@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-import shutil
 import subprocess
 import tempfile
 from collections.abc import Mapping
@@ -14,14 +13,14 @@ from rich.console import Console
 from rich.progress import Progress
 
 from qpctrl.compiler import NotCompiledError, find_compiler, one_line
-from qpctrl.errors import InputError, reason_of, unknown_name
+from qpctrl.errors import InputError
 from qpctrl.export import RECORDING, Recording, check_name, identifier, project_files
 from qpctrl.memory import Measurement
-from scenarios.catalogue import SCENARIOS
+from scenarios.catalogue import SCENARIOS, scenario_named
 from scenarios.command import interactive, merged, parse
 from scenarios.console import console
 from scenarios.record import Tick
-from scenarios.run import writable_folder
+from scenarios.run import all_or_none, writable_folder
 from scenarios.scenario import Experiment, Options
 from scenarios.simulation import simulate
 
@@ -89,15 +88,11 @@ def export_command(arguments: list[str]) -> bool:
         InputError: no or an unknown scenario, flags that cannot be used, or a folder that
             cannot be written.
     """
-    if not arguments:
-        raise InputError(f"missing SCENARIO; allowed: {', '.join(SCENARIOS)}")
-    if arguments[0] in ("-h", "--help"):
+    if arguments[:1] in (["-h"], ["--help"]):
         print(USAGE, end="")
         return True
+    kind = scenario_named(arguments)
     scenario = arguments[0]
-    if scenario not in SCENARIOS:
-        raise unknown_name("scenario", scenario, SCENARIOS)
-    kind = SCENARIOS[scenario]
     given: Any = parse(
         merged(f"Export{scenario.title()}", {"scenario": kind, "run": Options}, Exporting),
         arguments[1:],
@@ -111,7 +106,7 @@ def export_command(arguments: list[str]) -> bool:
     folder = given.out or Path("controllers") / name
     experiment = given.scenario.prepare(_options(given.run))
     files = project_files(experiment.controller, name)
-    _check_free(writable_folder(folder), [*files, RECORDING])
+    writable_folder(folder, [*files, RECORDING])
     recording = _recorded(experiment, scenario)
     _write({**{n: t.encode() for n, t in files.items()}, RECORDING: recording.data()}, folder)
     replay, note = None, "not asked for"
@@ -132,13 +127,6 @@ def _options(given: Options) -> Options:
     return dataclasses.replace(given, solver=own)
 
 
-def _check_free(folder: Path, names: list[str]) -> None:
-    """Refuse a folder where a file cannot take the place of what is there."""
-    for name in names:
-        if (folder / name).is_dir():
-            raise InputError(f"output folder {str(folder)!r}: {name} is a folder there")
-
-
 def _recorded(experiment: Experiment, name: str) -> Recording:
     run = RecordedRun(experiment)
     if not interactive():
@@ -156,17 +144,9 @@ def _recorded(experiment: Experiment, name: str) -> Recording:
 
 def _write(files: Mapping[str, bytes], folder: Path) -> None:
     """Write all files or none."""
-    try:
-        staging = Path(tempfile.mkdtemp(dir=folder, prefix=".writing-"))
-        try:
-            for name, data in files.items():
-                (staging / name).write_bytes(data)
-            for file in sorted(staging.iterdir()):
-                file.replace(folder / file.name)
-        finally:
-            shutil.rmtree(staging, ignore_errors=True)
-    except OSError as error:
-        raise InputError(f"output folder {str(folder)!r}: {reason_of(error)}") from error
+    with all_or_none(folder) as staging:
+        for name, data in files.items():
+            (staging / name).write_bytes(data)
 
 
 def _replayed(folder: Path, sources: list[str]) -> tuple[Replay | None, str]:

@@ -11,8 +11,7 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from qpctrl.errors import InputError, unknown_name
-from scenarios.catalogue import SCENARIOS
+from scenarios.catalogue import SCENARIOS, scenario_named
 from scenarios.command import interactive, merged, parse
 from scenarios.console import console
 from scenarios.report import label
@@ -44,15 +43,11 @@ def run_command(arguments: list[str]) -> bool:
     Raises:
         InputError: no or an unknown scenario, or flags that cannot be used.
     """
-    if not arguments:
-        raise InputError(f"missing SCENARIO; allowed: {', '.join(SCENARIOS)}")
-    if arguments[0] in ("-h", "--help"):
+    if arguments[:1] in (["-h"], ["--help"]):
         print(USAGE, end="")
         return True
+    kind = scenario_named(arguments)
     name = arguments[0]
-    if name not in SCENARIOS:
-        raise unknown_name("scenario", name, SCENARIOS)
-    kind = SCENARIOS[name]
     given: Any = parse(
         merged(f"Run{name.title()}", {"scenario": kind, "run": Options}, Running),
         arguments[1:],

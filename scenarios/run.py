@@ -1,5 +1,6 @@
 """One run of a scenario, from parameters to the three files it leaves behind."""
 
+import contextlib
 import dataclasses
 import importlib.metadata
 import json
@@ -8,7 +9,7 @@ import platform
 import shutil
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -76,11 +77,15 @@ def versions() -> dict[str, str]:
     return {**found, "python": platform.python_version(), "machine": platform.machine()}
 
 
-def writable_folder(path: Path) -> Path:
+def writable_folder(path: Path, files: Sequence[str] = FILES) -> Path:
     """Return ``path`` as an existing folder that can be written.
 
+    Args:
+        path: the folder.
+        files: names of what shall be written there.
+
     Raises:
-        InputError: it cannot be made or written.
+        InputError: it cannot be made or written, or one of the names is a folder there.
     """
     try:
         path.mkdir(parents=True, exist_ok=True)
@@ -88,7 +93,7 @@ def writable_folder(path: Path) -> Path:
             pass
     except (OSError, ValueError) as error:  # ValueError: a name that no file system takes
         raise InputError(f"output folder {str(path)!r}: {reason_of(error)}") from error
-    for name in FILES:
+    for name in files:
         if (path / name).is_dir():
             raise InputError(f"output folder {str(path)!r}: {name} is a folder there")
     return path
@@ -100,15 +105,25 @@ def write_outcome(scenario: Scenario, outcome: Outcome, folder: Path) -> None:
     Raises:
         InputError: the folder cannot be written.
     """
-    writable_folder(folder)
+    with all_or_none(writable_folder(folder)) as staging:
+        write_parquet(outcome.table, staging / "ticks.parquet")
+        text = json.dumps(outcome.summary, indent=2, ensure_ascii=False, allow_nan=False)
+        (staging / "summary.json").write_text(text + "\n", encoding="utf-8")
+        html = render_report(outcome.summary, outcome.table, scenario.panels(outcome))
+        (staging / "report.html").write_text(html, encoding="utf-8")
+
+
+@contextlib.contextmanager
+def all_or_none(folder: Path) -> Iterator[Path]:
+    """Give a place to write files, which then go to ``folder`` together; none if that fails.
+
+    Raises:
+        InputError: the folder cannot be written.
+    """
     try:
         staging = Path(tempfile.mkdtemp(dir=folder, prefix=".writing-"))
         try:
-            write_parquet(outcome.table, staging / "ticks.parquet")
-            text = json.dumps(outcome.summary, indent=2, ensure_ascii=False, allow_nan=False)
-            (staging / "summary.json").write_text(text + "\n", encoding="utf-8")
-            html = render_report(outcome.summary, outcome.table, scenario.panels(outcome))
-            (staging / "report.html").write_text(html, encoding="utf-8")
+            yield staging
             for file in sorted(staging.iterdir()):
                 file.replace(folder / file.name)
         finally:

@@ -3,14 +3,11 @@
 import json
 import os
 import platform
-import shutil
-import tempfile
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from qpctrl.errors import InputError, reason_of
 from scenarios.bench.goal import goals
 from scenarios.bench.growth import Growth, growth, in_the_way
 from scenarios.bench.peer import Beside, beside_peers
@@ -19,7 +16,7 @@ from scenarios.bench.row import Row, Section
 from scenarios.bench.suite import build
 from scenarios.bench.timing import Timing, clock_cost, one_core, take_turns
 from scenarios.processes import THREADS
-from scenarios.run import plain, versions, writable_folder
+from scenarios.run import all_or_none, plain, versions, writable_folder
 from scenarios.scenario import Criterion
 
 FILES = ("bench.json", "bench.html")
@@ -170,11 +167,7 @@ def usable_folder(path: Path) -> Path:
     Raises:
         InputError: it cannot be made or written.
     """
-    writable_folder(path)
-    for name in FILES:
-        if (path / name).is_dir():
-            raise InputError(f"output folder {str(path)!r}: {name} is a folder there")
-    return path
+    return writable_folder(path, FILES)
 
 
 def write_result(result: Result, page: str, folder: Path) -> None:
@@ -183,16 +176,7 @@ def write_result(result: Result, page: str, folder: Path) -> None:
     Raises:
         InputError: the folder cannot be written.
     """
-    usable_folder(folder)
     text = json.dumps(result.plain(), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-    try:
-        staging = Path(tempfile.mkdtemp(dir=folder, prefix=".writing-"))
-        try:
-            for name, content in zip(FILES, (text, page), strict=True):
-                (staging / name).write_text(content, encoding="utf-8")
-            for name in FILES:
-                (staging / name).replace(folder / name)
-        finally:
-            shutil.rmtree(staging, ignore_errors=True)
-    except OSError as error:
-        raise InputError(f"output folder {str(folder)!r}: {reason_of(error)}") from error
+    with all_or_none(usable_folder(folder)) as staging:
+        for name, content in zip(FILES, (text, page), strict=True):
+            (staging / name).write_text(content, encoding="utf-8")
