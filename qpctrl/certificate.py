@@ -76,4 +76,9 @@ def _scale(*terms: SX) -> SX:
 
 
 def _largest(vector: SX) -> SX:
-    return ca.mmax(ca.vertcat(0, ca.fabs(vector)))
+    """Return the largest size of an entry, in pairs: a processor need not wait for the last one."""
+    sizes = [ca.fabs(entry) for entry in ca.vertsplit(ca.densify(vector))] or [ca.SX(0)]
+    while len(sizes) > 1:
+        pairs = zip(sizes[::2], sizes[1::2], strict=False)
+        sizes = [ca.fmax(one, other) for one, other in pairs] + sizes[len(sizes) & ~1 :]
+    return sizes[0]

@@ -184,7 +184,7 @@ class Engine:
     def _refer(self, task: str, reference: Reference) -> None:
         """Write what a task shall follow into the buffers."""
         vectors, others = self._places.get(task, _NO_PLACES)
-        for name, value in reference.arrays().items():
+        for name, value in reference.arrays.items():
             try:
                 if name in vectors:
                     vectors[name][:] = value

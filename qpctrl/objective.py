@@ -73,8 +73,9 @@ class TaskExpressions(NamedTuple):
 class Reference(Protocol):
     """What a task shall follow at one tick."""
 
+    @property
     def arrays(self) -> Mapping[str, Array]:
-        """Return the task inputs that this reference sets."""
+        """Task inputs that this reference sets."""
 
 
 @runtime_checkable

@@ -153,8 +153,8 @@ class Comparison:
             X_WD=X_WD, V_des=rng.normal(size=6) * 0.3, V_dot_des=rng.normal(size=6)
         )
         force = ForceReference(F_ref=rng.normal(size=n) * 10, F_meas=rng.normal(size=n) * 10)
-        values = {f"motion.{key}": value for key, value in motion.arrays().items()}
-        values |= {f"force.{key}": value for key, value in force.arrays().items()}
+        values = {f"motion.{key}": value for key, value in motion.arrays.items()}
+        values |= {f"force.{key}": value for key, value in force.arrays.items()}
         values |= {
             f"{task}.weight": 10.0 ** rng.uniform(-2, 2) for task in ("motion", "force", "posture")
         }

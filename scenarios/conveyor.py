@@ -123,7 +123,7 @@ class Conveyor:
         plant = RigidPlant(
             joints.robot,
             board,
-            environment=lambda time: job.ride.shift(time).arrays(),
+            environment=lambda time: job.ride.shift(time).arrays,
             dt=joints.dt,
             armature=joints.armature,
         )

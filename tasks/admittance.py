@@ -45,8 +45,9 @@ class AdmittanceReference:
     gains: Mapping[str, Array] = field(default_factory=dict)
     """Inputs of the task to change from this tick on, by name."""
 
+    @property
     def arrays(self) -> Mapping[str, Array]:
-        """Return the task inputs that this reference sets."""
+        """Task inputs that this reference sets."""
         return {
             "X_WD": self.X_WD.homogeneous[:3],
             "V_des": self.V_des,

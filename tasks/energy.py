@@ -59,8 +59,9 @@ class EnergyReference(NamedTuple):
     F_meas: Vector
     """Measured wrench on the environment (n) [N, Nm], along the axes of the task frame."""
 
+    @property
     def arrays(self) -> Mapping[str, Array]:
-        """Return the task inputs that this reference sets."""
+        """Task inputs that this reference sets."""
         return {"F_meas": self.F_meas}
 
 

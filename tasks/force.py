@@ -12,8 +12,7 @@ Source: LynchPark2017 §11.5; the damping in the metric S⁻¹ is derived in doc
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
-from typing import ClassVar, NamedTuple, final
+from typing import ClassVar, final
 
 import casadi as ca
 import numpy as np
@@ -27,23 +26,40 @@ from tasks.energy import energy_memory, observe_energy
 
 
 @final
-class ForceReference(NamedTuple):
+class ForceReference:
     """The wrench to press with, and the one that is measured.
 
     Both act on the environment, at the origin and along the axes of the task frame.
+
+    Attributes:
+        arrays: the task inputs that this reference sets.
     """
 
-    F_ref: Vector
-    """Set-point (n) [N, Nm] that the ramp runs towards."""
-    F_meas: Vector
-    """Measured wrench (n) [N, Nm]."""
-    gains: Mapping[str, Array] = MappingProxyType({})
-    """Inputs of the task to change from this tick on, by name."""
+    __slots__ = ("arrays",)
 
-    def arrays(self) -> Mapping[str, Array]:
-        """Return the task inputs that this reference sets."""
-        given = {"F_ref": self.F_ref, "F_meas": self.F_meas}
-        return {**given, **self.gains} if self.gains else given
+    def __init__(
+        self, *, F_ref: Vector, F_meas: Vector, gains: Mapping[str, Array] | None = None
+    ) -> None:
+        """Describe the reference.
+
+        Args:
+            F_ref: set-point (n) [N, Nm] that the ramp runs towards.
+            F_meas: measured wrench (n) [N, Nm].
+            gains: inputs of the task to change from this tick on, by name; default: none.
+        """
+        self.arrays = {"F_ref": F_ref, "F_meas": F_meas}
+        if gains:
+            self.arrays.update(gains)
+
+    @property
+    def F_ref(self) -> Vector:
+        """Set-point (n) [N, Nm]."""
+        return self.arrays["F_ref"]
+
+    @property
+    def F_meas(self) -> Vector:
+        """Measured wrench (n) [N, Nm]."""
+        return self.arrays["F_meas"]
 
 
 @final

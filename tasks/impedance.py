@@ -47,8 +47,9 @@ class ImpedanceReference:
     gains: Mapping[str, Array] = field(default_factory=dict)
     """Inputs of the task to change from this tick on, by name: ``K_v`` (n×n) for instance."""
 
+    @property
     def arrays(self) -> Mapping[str, Array]:
-        """Return the task inputs that this reference sets."""
+        """Task inputs that this reference sets."""
         given = {} if self.V_dot_meas is None else {"V_dot_meas": self.V_dot_meas}
         return {
             "X_WD": self.X_WD.homogeneous[:3],

@@ -40,7 +40,12 @@ class MotionReference:
 
     Arrays are kept as they are given: a motion that is laid out ahead, row by row, is not
     copied at its ticks.
+
+    Attributes:
+        arrays: the task inputs that this reference sets.
     """
+
+    __slots__ = ("arrays",)
 
     def __init__(
         self,
@@ -59,29 +64,25 @@ class MotionReference:
             gains: inputs of the task to change from this tick on, by name; default: none.
         """
         pose = X_WD if isinstance(X_WD, np.ndarray) else X_WD.homogeneous[:3]
-        self._arrays = {"X_WD": pose, "V_des": V_des, "V_dot_des": V_dot_des}
+        self.arrays = {"X_WD": pose, "V_des": V_des, "V_dot_des": V_dot_des}
         if gains:
-            self._arrays.update(gains)
-
-    def arrays(self) -> Mapping[str, Array]:
-        """Return the task inputs that this reference sets."""
-        return self._arrays
+            self.arrays.update(gains)
 
     @property
     def X_WD(self) -> pin.SE3:
         """Desired pose of the frame in the world."""
-        pose = self._arrays["X_WD"]
+        pose = self.arrays["X_WD"]
         return pin.SE3(pose[:, :3], pose[:, 3])
 
     @property
     def V_des(self) -> Twist:
         """Desired body twist (6) [m/s, rad/s], in the desired frame."""
-        return self._arrays["V_des"]
+        return self.arrays["V_des"]
 
     @property
     def V_dot_des(self) -> Twist:
         """Its derivative (6) [m/s², rad/s²]."""
-        return self._arrays["V_dot_des"]
+        return self.arrays["V_dot_des"]
 
 
 class PoseError(NamedTuple):

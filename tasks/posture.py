@@ -16,16 +16,27 @@ from qpctrl.spatial import SX
 
 
 @final
-@dataclass(frozen=True, kw_only=True, eq=False)
 class PostureReference:
-    """The configuration to lean towards."""
+    """The configuration to lean towards.
 
-    q_ref: Vector
-    """Configuration (nq) [rad or m]."""
+    Attributes:
+        arrays: the task inputs that this reference sets.
+    """
 
-    def arrays(self) -> Mapping[str, Array]:
-        """Return the task inputs that this reference sets."""
-        return {"q_ref": self.q_ref}
+    __slots__ = ("arrays",)
+
+    def __init__(self, *, q_ref: Vector) -> None:
+        """Describe the reference.
+
+        Args:
+            q_ref: configuration (nq) [rad or m].
+        """
+        self.arrays = {"q_ref": q_ref}
+
+    @property
+    def q_ref(self) -> Vector:
+        """Configuration (nq) [rad or m]."""
+        return self.arrays["q_ref"]
 
 
 @final

@@ -58,8 +58,9 @@ ROUND_OFF = 1e-10
 class Given(dict[str, Any]):
     """A reference: any inputs by name."""
 
+    @property
     def arrays(self) -> Mapping[str, np.ndarray]:
-        """Return them."""
+        """Themselves."""
         return self
 
 

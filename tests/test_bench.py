@@ -256,7 +256,7 @@ def test_states_of_a_course_move_along_its_contact(robot: str, k: int) -> None:
 def test_the_wall_of_the_planar_arm_turns_before_its_tool_as_it_says() -> None:
     arm = load_robot("planar_2r")
     moments = course(arm, TOOL, 1)
-    walls = [moment.references["wall"].arrays() for moment in moments]
+    walls = [moment.references["wall"].arrays for moment in moments]
     for i in (100, 333, 800):
         V = (frame_terms(arm.model, moments[i].q, moments[i].v, TOOL).J @ moments[i].v)[:2]
         rate = (walls[i + 1]["A"] - walls[i - 1]["A"]) / (2 * DT)
@@ -283,7 +283,7 @@ def test_a_run_has_every_line_with_figures_that_can_be_times(result: Result) -> 
             assert ("solver", f"{solver}, {limits}", 7, 3) in names
             assert ("solver", f"{solver}, {limits}, alone", 7, 3) in names
     parts = {row.name for row in result.of("part")}
-    assert {"whole tick", "Python around them", "references", "graph"} <= parts
+    assert {"whole tick", "Python around them", "graph"} <= parts
     assert {"certificate", "dynamics alone"} <= parts  # a QP is solved where a limit binds
     for row in result.rows:
         assert math.isfinite(row.median_us), row.name

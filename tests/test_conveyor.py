@@ -113,7 +113,7 @@ def test_the_board_moves_along_all_three_rows_as_far_as_asked() -> None:
     rows = row_function(board())
     for i, t in enumerate(table["time"]):
         X_WF = robot().pose(_q(table, i), "flange")
-        shift, R_WE = ride.shift(t).arrays().values(), ride.X_WE_start.rotation
+        shift, R_WE = ride.shift(t).arrays.values(), ride.X_WE_start.rotation
         found = rows(X_WF.rotation, X_WF.translation, np.zeros(6), R_WE, *shift)
         assert np.array(found[2]).ravel() == pytest.approx(v_c[i], abs=1e-12)
 
@@ -175,7 +175,7 @@ def test_the_textbook_law_presses_too_much_by_the_curvature_term() -> None:
 
 
 def test_a_plant_whose_environment_rests_is_the_plant_without_one() -> None:
-    still = job().ride.shift(0.0).arrays()
+    still = job().ride.shift(0.0).arrays
     plants = [
         RigidPlant(robot(), board(), environment=environment)
         for environment in (None, lambda time: still)

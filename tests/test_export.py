@@ -131,7 +131,7 @@ def _tick(i: int, robot: Robot) -> Course:
     if 200 < i < 204:
         given["posture"] = PostureReference(q_ref=np.full(7, np.nan))
     if i in (110, 140):
-        given["motion"] = Given(given["motion"].arrays(), K_p=np.full(6, 50.0 + i))
+        given["motion"] = Given(given["motion"].arrays, K_p=np.full(6, 50.0 + i))
     if i in (100, 101):
         given["limits"] = Given(q_max=robot.home + (-5.0 if i == 100 else 0.004))
     mode = FREE if 120 <= i < 150 else TOUCHING
@@ -403,7 +403,7 @@ def write_inputs(made: InC, mode: str, references: dict[str, Any]) -> None:
     """Write references as a user would: at the places of the header."""
     layout, u = make().engines[mode].tick.inputs, made.inputs(mode)
     for task, reference in references.items():
-        for key, value in reference.arrays().items():
+        for key, value in reference.arrays.items():
             u[layout.place(f"{task}.{key}")] = np.ravel(value, order="F")
     if "motion" in references:  # a reference in Python sets all of them
         assert np.isfinite(u[layout.place("motion.V_dot_des")]).all()

@@ -253,7 +253,7 @@ def test_the_search_starts_where_the_tool_is_and_ends_at_its_depth() -> None:
 def test_a_regained_contact_is_damped_more_until_it_has_held() -> None:
     found = guided([0.0, 0.0, 0.0, *[0.006] * 203], [0.0] * 4 + [9.0] * 202)
     damping = [
-        float(directive.references["force"].arrays()["damping"])
+        float(directive.references["force"].arrays["damping"])
         for directive in found
         if directive.mode == "contact"
     ]

@@ -75,7 +75,7 @@ class Bench:
         """Return the parts of the objective, the memory after it and the signals, by name."""
         X = pin.SE3.Identity() if X is None else X
         S = np.eye(len(A)) if S is None else S
-        u = {**self.task.inputs(), **(reference.arrays() if reference else {})}
+        u = {**self.task.inputs(), **(reference.arrays if reference else {})}
         x = {**self.task.memory(), **(memory or {})}
         n = self.task.space.n if self.task.space else 0
         state = [np.zeros(size) if s is None else s for s, size in ((q, 7), (v, 7))]
@@ -123,10 +123,10 @@ def test_a_pose_may_be_given_as_an_array_which_is_not_copied() -> None:
         laid_out = MotionReference(
             X_WD=pose, V_des=given.V_des, V_dot_des=given.V_dot_des, gains=gains
         )
-        assert laid_out.arrays()["X_WD"] is pose
-        assert laid_out.arrays().keys() - given.arrays().keys() == {"K_p"}
-        for name, value in given.arrays().items():
-            assert np.array_equal(laid_out.arrays()[name], value)
+        assert laid_out.arrays["X_WD"] is pose
+        assert laid_out.arrays.keys() - given.arrays.keys() == {"K_p"}
+        for name, value in given.arrays.items():
+            assert np.array_equal(laid_out.arrays[name], value)
         assert laid_out.X_WD.isApprox(given.X_WD, 1e-15)
 
 

@@ -29,8 +29,9 @@ class EnvironmentMotion:
     V_dot_env: Twist = field(default_factory=lambda: np.zeros(6))
     """Its derivative (6) [m/s², rad/s²]."""
 
+    @property
     def arrays(self) -> Mapping[str, Array]:
-        """Return the inputs of the constraint that this motion sets."""
+        """Inputs of the constraint that this motion sets."""
         return {
             "X_shift": self.X_shift.homogeneous[:3],
             "V_env": self.V_env,
@@ -80,7 +81,7 @@ class Moving:
     def inputs(self) -> dict[str, Array]:
         """Return the inputs of the constraint, and an environment at rest."""
         rest = EnvironmentMotion(X_shift=pin.SE3.Identity())
-        return {**self.whole.inputs(), **rest.arrays()}
+        return {**self.whole.inputs(), **rest.arrays}
 
     def rows(self, motion: FrameMotion, u: Mapping[str, SX]) -> PfaffianRows:
         """Return the rows of the constraint, seen from the environment."""

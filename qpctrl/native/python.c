@@ -85,7 +85,7 @@ static int take_front(PyObject *object, double *to, npy_intp size)
 static int refer(const binding *b, PyObject *task, PyObject *reference)
 {
     PyObject *places = PyDict_GetItemWithError(b->places, task);
-    PyObject *arrays = places ? PyObject_CallMethodNoArgs(reference, b->arrays) : NULL;
+    PyObject *arrays = places ? PyObject_GetAttr(reference, b->arrays) : NULL;
     int taken = arrays && PyDict_CheckExact(arrays);
     PyObject *name, *value;
     for (Py_ssize_t i = 0; taken && PyDict_Next(arrays, &i, &name, &value);) {

@@ -43,11 +43,8 @@ _STEPS = 20
 class Given:
     """A reference made elsewhere."""
 
-    values: Mapping[str, Array] = field(default_factory=dict)
-
-    def arrays(self) -> Mapping[str, Array]:
-        """Return the task inputs that this reference sets."""
-        return self.values
+    arrays: Mapping[str, Array] = field(default_factory=dict)
+    """The task inputs that this reference sets."""
 
 
 class Moment(NamedTuple):

@@ -7,12 +7,12 @@ from itertools import pairwise
 
 import numpy as np
 
-from scenarios.bench.part_trial import CALL, DYNAMICS, REFERENCES, WHOLE
+from scenarios.bench.part_trial import CALL, DYNAMICS, WHOLE
 from scenarios.bench.row import Row
 
 CUBIC = 3.0
 """Power that no part should pass."""
-SHARES = (CALL, DYNAMICS, REFERENCES)
+SHARES = (CALL, DYNAMICS)
 """What other parts hold, or hold themselves."""
 GOAL_US = 60.0
 """What a tick of the largest arm should take [µs]."""

@@ -18,9 +18,6 @@ from scenarios.bench.tick_trial import WARM, Loop
 from scenarios.bench.timing import timing
 
 WHOLE, PYTHON, DYNAMICS = "whole tick", "Python around them", "dynamics alone"
-REFERENCES = "references"
-TIMED = (WHOLE, REFERENCES)
-"""What is Python's alone."""
 
 CALL = "call"
 """Name among an engine's calls of the one that runs all others in their order."""
@@ -34,7 +31,6 @@ IDLE = "idle"
 WORDS = {
     WHOLE: "Controller.step, from measurement and references to torque, report and memory",
     PYTHON: "writing state and references, reading torque, report and memory",
-    REFERENCES: "their arrays(), each of them a pose, twists, wrenches; a share of Python's",
     CALL: "graph, QP, certificate in one call",
     "graph": "M, h, J, J̇v, errors, constraint, QP data, both laws, next memory",
     DYNAMICS: "M, h, J, J̇v of the tool; a share of the graph",
@@ -81,7 +77,7 @@ class PartTrial:
         }
         self._memory = loop.controller.start(loop.mode, loop.moments[0].q)
         self._at = 0
-        self._samples: dict[str, list[int]] = {name: [] for name in (*TIMED, *self._calls)}
+        self._samples: dict[str, list[int]] = {name: [] for name in (WHOLE, *self._calls)}
 
     def run(self, count: int) -> None:
         """Take ``count`` samples of each part."""
@@ -95,10 +91,6 @@ class PartTrial:
             started = clock()
             _, _, memory = step(mode, Measurement(now, q, v), references, memory)
             took[WHOLE] = clock() - started
-            started = clock()
-            for reference in references.values():
-                reference.arrays()
-            took[REFERENCES] = clock() - started
             state["q"][:], state["v"][:] = q, v
             for name, call in self._calls.items():
                 started = clock()
@@ -112,11 +104,11 @@ class PartTrial:
     def rows(self) -> list[Row]:
         """Return a line for each part; Python is what of the whole the calls do not explain."""
         samples = {name: np.array(spans) for name, spans in self._samples.items()}
-        whole, references = (samples.pop(name) for name in TIMED)
+        whole = samples.pop(WHOLE)
         off = self._calling(samples)
         samples = {name: spans - off[name] for name, spans in samples.items()}
         inside = samples[CALL] if CALL in samples else _together(samples)
-        named = {WHOLE: whole, PYTHON: whole - inside, REFERENCES: references, **samples}
+        named = {WHOLE: whole, PYTHON: whole - inside, **samples}
         return [
             Row(
                 section="part",

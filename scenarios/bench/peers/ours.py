@@ -111,7 +111,7 @@ def _moment(problem: Problem, i: int) -> Moment:
     force = ForceReference(F_ref=pressed, F_meas=pressed)
     references: dict[str, Reference] = {"motion": motion, "force": force}
     laid_out: dict[str, Reference] = {
-        name: Given(reference.arrays()) for name, reference in references.items()
+        name: Given(reference.arrays) for name, reference in references.items()
     }
     return Moment(problem.q[i], problem.v[i], laid_out)
 

@@ -48,8 +48,9 @@ class BelievedHinge(NamedTuple):
 
     X_WE: pin.SE3
 
+    @property
     def arrays(self) -> Mapping[str, Array]:
-        """Return the input of the constraint."""
+        """The input of the constraint."""
         return {"X_WE": self.X_WE.homogeneous[:3]}
 
 

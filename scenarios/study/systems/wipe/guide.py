@@ -83,11 +83,8 @@ def circles(radius: float, speed: float, duration: float, dt: float) -> Circles:
 class Inputs(NamedTuple):
     """A reference that is laid out already."""
 
-    values: Mapping[str, Array]
-
-    def arrays(self) -> Mapping[str, Array]:
-        """Return the task inputs that this reference sets."""
-        return self.values
+    arrays: Mapping[str, Array]
+    """The task inputs that this reference sets."""
 
 
 class Job(NamedTuple):
@@ -228,6 +225,6 @@ def _merged(
     references: Mapping[str, Reference], gains: Mapping[str, Mapping[str, Array]]
 ) -> dict[str, Reference]:
     """Return references that set gains too."""
-    given = {name: reference.arrays() for name, reference in references.items()}
+    given = {name: reference.arrays for name, reference in references.items()}
     names = dict.fromkeys((*given, *gains))
     return {name: Inputs({**gains.get(name, {}), **given.get(name, {})}) for name in names}
