@@ -8,9 +8,10 @@ from qpctrl.memory import Measurement, Memory
 from qpctrl.mode import Mode
 from qpctrl.objective import Weighted
 from qpctrl.report import ActiveLimit, Command, TickReport, Yield
-from qpctrl.robot import Limits, Robot, from_pinocchio, from_urdf
+from qpctrl.robot import Limits, Robot, from_pinocchio
 from qpctrl.space import TaskSpace
 from qpctrl.status import Status
+from qpctrl.urdf import from_urdf
 
 __all__ = [
     "ActiveLimit",

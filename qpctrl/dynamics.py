@@ -8,14 +8,16 @@ from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
+import pinocchio as pin
 
-from qpctrl.robot import Robot
+from qpctrl.robot import Robot, floats
 from qpctrl.spatial import (
     SX,
     SymbolicPose,
     compose,
     force_cross,
     force_to_parent,
+    inverse,
     motion_cross,
     motion_to_child,
     skew,
@@ -34,11 +36,25 @@ class FrameKinematics(NamedTuple):
     """Drift (6) [m/s², rad/s²]: ``V̇ = J a + J̇ v``."""
 
 
+class Centroid(NamedTuple):
+    """The momentum about the centre of mass C, in the axes of the world."""
+
+    mass: float
+    """Mass of all that moves [kg]."""
+    p_WC: SX
+    """Centre of mass (3) [m]."""
+    A_G: SX
+    """Momentum matrix (6×nv): ``h_G = A_G v`` [kg m/s, kg m²/s]."""
+    A_G_dot_v: SX
+    """Drift (6) [N, Nm]: ``ḣ_G = A_G a + Ȧ_G v``."""
+
+
 class Dynamics:
     """Symbolic dynamics of a robot at the symbols ``q`` (nq) and ``v`` (nv).
 
     Attributes:
         q, v: the symbols.
+        coordinates: the coordinate in q that each velocity changes (nv); 0 for floating bodies.
         M: mass matrix (nv×nv) with armature [kg m², kg m, kg].
         h: bias (nv) [Nm or N], Coriolis and gravity.
     """
@@ -47,11 +63,13 @@ class Dynamics:
         model = robot.model
         self._robot = robot
         self._parents = [int(parent) for parent in model.parents]
-        self.q = ca.SX.sym("q", robot.nv)
+        self.q = ca.SX.sym("q", robot.nq)
         self.v = ca.SX.sym("v", robot.nv)
+        self.coordinates = coordinates(robot, self.q)
         joints = range(1, model.njoints)
         world = SymbolicPose(ca.SX.eye(3), ca.SX(3, 1))  # index 0, as in pinocchio
-        self._S: list[SX] = [ca.SX(6, 1), *(_axis(model.joints[i]) for i in joints)]
+        self._columns = [[], *(list(range(j.idx_v, j.idx_v + j.nv)) for j in model.joints[1:])]
+        self._S: list[SX] = [ca.SX(6, 0), *(_axes(model.joints[i]) for i in joints)]
         self._X: list[SymbolicPose] = [world, *(self._placement(i) for i in joints)]
         bodies = [ca.SX(6, 6), *(_sparse(model.inertias[i].matrix()) for i in joints)]
         self._Y = [_inertia(Y) for Y in bodies]
@@ -68,16 +86,53 @@ class Dynamics:
         J = ca.SX(6, self._robot.nv)
         X = X_JF
         while joint > 0:
-            J[:, joint - 1] = motion_to_child(X, self._S[joint])
+            for column, S in zip(self._columns[joint], ca.horzsplit(self._S[joint]), strict=True):
+                J[:, column] = motion_to_child(X, S)
             X = compose(self._X[joint], X)
             joint = self._parents[joint]
         return FrameKinematics(X, J, drift)
 
+    def relative(self, name: str, other: str) -> FrameKinematics:
+        """Return the kinematics of frame ``name`` as seen from frame ``other``.
+
+        V = V_F − Ad_{X_FB} V_B, in the axes of F; what is fixed in B turns with −V, seen from F.
+        """
+        F, B = self.frame(name), self.frame(other)
+        X_BF = compose(inverse(B.X_WF), F.X_WF)
+        carried = ca.horzcat(*(motion_to_child(X_BF, column) for column in ca.horzsplit(B.J)))
+        J = F.J - carried
+        drift = F.J_dot_v - motion_to_child(X_BF, B.J_dot_v)
+        return FrameKinematics(X_BF, J, drift + motion_cross(J @ self.v, carried @ self.v))
+
+    def centroid(self) -> Centroid:
+        """Return centre of mass and momentum. Source: Orin2013."""
+        X_W = [self._X[0]]
+        for i in range(1, len(self._X)):
+            X_W.append(compose(X_W[self._parents[i]], self._X[i]))
+        bodies = [
+            self._composite[i].in_parent(X_W[i])
+            for i in range(1, len(X_W))
+            if self._parents[i] == 0
+        ]
+        mass = sum((body.mass for body in bodies), ca.SX(0))
+        p_WC = sum((body.moment for body in bodies), ca.SX(3, 1)) / mass
+        A_G = ca.SX(6, self._robot.nv)
+        for i in range(1, len(X_W)):
+            for column, S in zip(self._columns[i], ca.horzsplit(self._S[i]), strict=True):
+                momentum = force_to_parent(X_W[i], self._composite[i].momentum(S))
+                A_G[:, column] = _about(p_WC, momentum)
+        weight = mass * ca.SX(np.array(self._robot.model.gravity.linear))
+        drift = _about(p_WC, self._lifting) + ca.vertcat(weight, ca.SX(3, 1))
+        return Centroid(float(mass), p_WC, A_G, drift)
+
     def _placement(self, i: int) -> SymbolicPose:
         placement = self._robot.model.jointPlacements[i]
         fixed = SymbolicPose(_sparse(placement.rotation), _sparse(placement.translation))
+        at = self._robot.model.joints[i].idx_q
+        if len(self._columns[i]) > 1:
+            return compose(fixed, SymbolicPose(_turn(self.q[at + 3 : at + 7]), self.q[at : at + 3]))
         linear, angular = self._S[i][:3], self._S[i][3:]
-        angle = self.q[i - 1]
+        angle = self.q[at]
         K = skew(angular)  # Rodrigues; zero for a prismatic joint
         R = ca.SX.eye(3) + ca.sin(angle) * K + (1 - ca.cos(angle)) * (K @ K)
         return compose(fixed, SymbolicPose(ca.sparsify(R), linear * angle))
@@ -85,7 +140,7 @@ class Dynamics:
     def _velocities(self) -> tuple[list[SX], list[SX]]:
         V, drift = [ca.SX(6, 1)], [ca.SX(6, 1)]
         for i in range(1, len(self._X)):
-            joint_velocity = self._S[i] * self.v[i - 1]
+            joint_velocity = self._S[i] @ self.v[self._columns[i]]
             V.append(motion_to_child(self._X[i], V[self._parents[i]]) + joint_velocity)
             carried = motion_to_child(self._X[i], drift[self._parents[i]])
             drift.append(carried + motion_cross(V[i], joint_velocity))
@@ -99,24 +154,27 @@ class Dynamics:
             momentum = self._Y[i].momentum(self._V[i])
             inertial = self._Y[i].momentum(self._drift[i] + lift[i])
             forces.append(inertial + force_cross(self._V[i], momentum))
-        h = [ca.SX(0)] * (len(self._X) - 1)
+        h = ca.SX(self._robot.nv, 1)
         for i in reversed(range(1, len(self._X))):
-            h[i - 1] = ca.dot(self._S[i], forces[i])
+            h[self._columns[i]] = self._S[i].T @ forces[i]
             parent = self._parents[i]
             forces[parent] = forces[parent] + force_to_parent(self._X[i], forces[i])
-        return ca.vertcat(*h)
+        self._lifting = forces[0]  # on all bodies, about the origin of the world
+        return ca.densify(h)
 
     def _composite_rigid_body(self) -> SX:
-        composite = list(self._Y)
+        self._composite = composite = list(self._Y)
         M = ca.SX(self._robot.nv, self._robot.nv)
         for i in reversed(range(1, len(self._X))):
-            force = composite[i].momentum(self._S[i])
-            M[i - 1, i - 1] = ca.dot(self._S[i], force)
-            j = i
-            while self._parents[j] > 0:
-                force = force_to_parent(self._X[j], force)
-                j = self._parents[j]
-                M[i - 1, j - 1] = M[j - 1, i - 1] = ca.dot(self._S[j], force)
+            for column, S in zip(self._columns[i], ca.horzsplit(self._S[i]), strict=True):
+                force = composite[i].momentum(S)
+                M[self._columns[i], column] = self._S[i].T @ force
+                j = i
+                while self._parents[j] > 0:
+                    force = force_to_parent(self._X[j], force)
+                    j = self._parents[j]
+                    shared = self._S[j].T @ force
+                    M[self._columns[j], column], M[column, self._columns[j]] = shared, shared.T
             if (parent := self._parents[i]) > 0:
                 composite[parent] = composite[parent].plus(composite[i].in_parent(self._X[i]))
         return M
@@ -163,9 +221,29 @@ def _inertia(Y: SX) -> _Inertia:
     return _Inertia(Y[0, 0], moment, Y[3:, 3:])
 
 
-def _axis(joint: object) -> SX:
-    data = joint.createData()  # type: ignore[attr-defined]
-    joint.calc(data, np.zeros(1))  # type: ignore[attr-defined]
+def coordinates(robot: Robot, q: SX) -> SX:
+    """Return the entry of ``q`` (nq) that each velocity changes (nv); 0 for floating bodies."""
+    return ca.vertcat(*(ca.SX(0) if at is None else q[at] for at in robot.coordinates))
+
+
+def _about(p: SX, F: SX) -> SX:
+    """Return the wrench or momentum ``F`` (6), about the origin, about the point ``p`` (3)."""
+    return ca.vertcat(F[:3], F[3:] - ca.cross(p, F[:3]))
+
+
+def _turn(quaternion: SX) -> SX:
+    """Return the rotation of a quaternion (x, y, z, w), whatever its length."""
+    u, w = quaternion[:3], quaternion[3]
+    K = skew(u)
+    return ca.SX.eye(3) + 2 / ca.sumsqr(quaternion) * (w * K + K @ K)
+
+
+def _axes(joint: pin.JointModel) -> SX:
+    """Return the motion subspace (6×nv) of a joint."""
+    if floats(joint):
+        return ca.SX.eye(6)
+    data = joint.createData()
+    joint.calc(data, np.zeros(1))
     return _sparse(np.asarray(data.S).reshape(6))
 
 

@@ -1,8 +1,6 @@
 """The robot as data: a pinocchio model, its limits, its actuation, its named frames."""
 
-import xml.etree.ElementTree as ElementTree
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
@@ -10,10 +8,14 @@ from numpy.typing import ArrayLike
 
 from qpctrl.arrays import Array, Matrix, Vector, finite_array, non_negative, positive
 from qpctrl.errors import InputError, unknown_name
+from qpctrl.spatial import AXES
 
 DEFAULT_TORQUE_RATE = 1000.0
 """Torque-rate limit [Nm/s] of a robot whose file gives none (Franka FR3's figure)."""
 
+
+QUATERNION_OFF = 1e-3
+"""How far from 1 the norm of a quaternion may be."""
 
 NO_LIMIT = 1e9
 """Limits of a file from here on mean none."""
@@ -24,9 +26,9 @@ class Limits:
     """What joints and motors can do. ``inf`` means no limit."""
 
     q_min: Vector
-    """Lowest configuration (nq) [rad or m]."""
+    """Lowest configuration along each velocity (nv) [rad or m]; a floating base has none."""
     q_max: Vector
-    """Highest configuration (nq) [rad or m]."""
+    """Highest configuration along each velocity (nv) [rad or m]."""
     v_max: Vector
     """Highest speed (nv) [rad/s or m/s]."""
     tau_max: Vector
@@ -56,10 +58,12 @@ class Limits:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Robot:
-    """A robot: tree of one-degree-of-freedom joints with named frames.
+    """A robot: tree of one-degree-of-freedom joints and floating bodies, with named frames.
 
-    Torques act through ``B`` (nv×nu): ``M a + h + Jᵀ Aᵀ λ = B τ``; identity for an arm whose
-    every joint is driven. The mass matrix includes the armature (reflected rotor inertia).
+    A floating body is a joint with position and unit quaternion (x, y, z, w) in q (7), and its
+    body twist in v (6). Torques act through ``B`` (nv×nu): ``M a + h + Jᵀ Aᵀ λ = B τ``; identity
+    for an arm whose every joint is driven. The mass matrix includes the armature (reflected rotor
+    inertia).
     """
 
     model: pin.Model
@@ -70,14 +74,15 @@ class Robot:
 
     def __post_init__(self) -> None:
         for joint in list(self.model.joints)[1:]:
-            if joint.nv != 1 or joint.nq != 1:
+            if (joint.nq, joint.nv) != (1, 1) and not floats(joint):
                 name = self.model.names[joint.id]
                 raise InputError(
-                    f"joint {name!r} is {joint.shortname()}; need revolute or prismatic joints"
+                    f"joint {name!r} is {joint.shortname()}; need revolute, prismatic or floating "
+                    "joints"
                 )
-        object.__setattr__(self, "home", finite_array(self.home, (self.nv,), "home"))
+        object.__setattr__(self, "home", self.configuration(self.home, "home"))
         if self.B.size == 0:
-            object.__setattr__(self, "B", np.eye(self.nv))
+            object.__setattr__(self, "B", driven_joints(self.model))
         if self.B.shape[0] != self.nv or np.linalg.matrix_rank(self.B) < self.nu:
             raise InputError(
                 f"B: got shape {self.B.shape}, need {self.nv} rows of full column rank"
@@ -89,9 +94,19 @@ class Robot:
         return str(self.model.name)
 
     @property
+    def nq(self) -> int:
+        """Number of configuration coordinates: one more than velocities for each floating body."""
+        return int(self.model.nq)
+
+    @property
     def nv(self) -> int:
-        """Number of velocity coordinates (equal to configuration coordinates)."""
+        """Number of velocity coordinates."""
         return int(self.model.nv)
+
+    @property
+    def floats(self) -> bool:
+        """Whether a body of it floats."""
+        return self.nq != self.nv
 
     @property
     def nu(self) -> int:
@@ -100,8 +115,18 @@ class Robot:
 
     @property
     def joint_names(self) -> tuple[str, ...]:
-        """Joint names in the order of ``v``."""
-        return tuple(str(name) for name in self.model.names)[1:]
+        """Names of the velocities: of the joint, or ``BODY.vx`` to ``BODY.wz`` where it floats."""
+        names: list[str] = []
+        for joint in list(self.model.joints)[1:]:
+            name = str(self.model.names[joint.id])
+            names += [f"{name}.{axis}" for axis in AXES] if floats(joint) else [name]
+        return tuple(names)
+
+    @property
+    def coordinates(self) -> tuple[int | None, ...]:
+        """Where in q the coordinate of each velocity is (nv); none for those of a floating body."""
+        found: dict[int, int] = {joint.idx_v: joint.idx_q for joint in _single(self.model)}
+        return tuple(found.get(i) for i in range(self.nv))
 
     @property
     def actuator_names(self) -> tuple[str, ...]:
@@ -116,6 +141,26 @@ class Robot:
     def frame_names(self) -> tuple[str, ...]:
         """Names that tasks and constraints can refer to."""
         return tuple(dict.fromkeys(str(frame.name) for frame in self.model.frames))
+
+    def configuration(self, q: ArrayLike, name: str) -> Vector:
+        """Return ``q`` (nq) with unit quaternions.
+
+        Raises:
+            InputError: wrong length, not finite, or a quaternion that is none (norm off by 1e-3).
+        """
+        q = finite_array(q, (self.nq,), name).copy()
+        for joint in list(self.model.joints)[1:]:
+            if floats(joint):
+                quaternion, body = q[joint.idx_q + 3 : joint.idx_q + 7], self.model.names[joint.id]
+                norm = float(np.linalg.norm(quaternion))
+                if abs(norm - 1) > QUATERNION_OFF:
+                    raise InputError(f"{name}: quaternion of {body!r} has norm {norm:.6g}, need 1")
+                quaternion /= norm
+        return q
+
+    def integrate(self, q: Vector, dq: Vector) -> Vector:
+        """Return the configuration (nq) that is ``dq`` (nv) [rad or m] from ``q`` (nq)."""
+        return np.asarray(pin.integrate(self.model, q, dq))
 
     def frame_id(self, name: str) -> int:
         """Return pinocchio's index of frame ``name``.
@@ -144,75 +189,57 @@ def from_pinocchio(
     """Return the robot of a pinocchio model, with the limits that the model carries.
 
     Args:
-        model: fixed-base tree of revolute and prismatic joints; zero limits mean none.
+        model: tree of revolute, prismatic and floating joints; zero limits mean none.
         home: start configuration (nq) [rad or m]; default: zero, moved inside the limits.
         tau_rate: torque-rate limit (nu) [Nm/s].
-        B: actuation matrix (nv×nu); default identity.
+        B: actuation matrix (nv×nu); default: a torque at every joint that does not float.
     """
-    actuation = np.eye(model.nv) if B is None else np.asarray(B, dtype=np.float64)
-    effort = np.asarray(model.upperEffortLimit, dtype=np.float64)
-    if actuation.shape[1] != effort.shape[0]:
-        effort = np.full(actuation.shape[1], np.inf)
+    actuation = driven_joints(model) if B is None else np.asarray(B, dtype=np.float64)
+    singles = _single(model)
+    at_q, at_v = [joint.idx_q for joint in singles], [joint.idx_v for joint in singles]
+    q_min, q_max = np.full(model.nv, -np.inf), np.full(model.nv, np.inf)
+    q_min[at_v] = -_far_is_none(-np.array(model.lowerPositionLimit)[at_q])
+    q_max[at_v] = _far_is_none(np.array(model.upperPositionLimit)[at_q])
+    v_max = np.full(model.nv, np.inf)
+    v_max[at_v] = _zero_is_none(np.array(model.upperVelocityLimit)[at_v])
+    effort = _effort(np.array(model.upperEffortLimit), actuation)
     limits = Limits(
-        q_min=-_far_is_none(-np.array(model.lowerPositionLimit)),
-        q_max=_far_is_none(np.array(model.upperPositionLimit)),
-        v_max=_zero_is_none(np.array(model.upperVelocityLimit)),
+        q_min=q_min,
+        q_max=q_max,
+        v_max=v_max,
         tau_max=_zero_is_none(effort),
         tau_rate=positive(tau_rate, effort.shape, "tau_rate"),
     )
-    start = np.clip(np.zeros(model.nq), limits.q_min, limits.q_max)
-    if home is not None:
-        start = finite_array(home, (model.nq,), "home")
-    return Robot(model=model, limits=limits, home=start, B=actuation)
+    start = pin.neutral(model)
+    start[at_q] = np.clip(0.0, q_min[at_v], q_max[at_v])
+    return Robot(
+        model=model, limits=limits, home=start if home is None else np.asarray(home), B=actuation
+    )
 
 
-def from_urdf(path: Path | str, *, home: Vector | None = None) -> Robot:
-    """Return the robot of a URDF file (continuous joints become unlimited revolute ones).
-
-    Raises:
-        InputError: no such file, not XML, or not a URDF that pinocchio can read.
-    """
-    try:
-        model = pin.buildModelFromXML(urdf_text(Path(path)))
-    except (ValueError, RuntimeError) as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(f"{path}: not a usable URDF ({error})") from error
-    return from_pinocchio(model, home=home)
+def floats(joint: pin.JointModel) -> bool:
+    """Return whether a joint leaves its body free."""
+    return str(joint.shortname()) == "JointModelFreeFlyer"
 
 
-def xml_root(path: Path) -> ElementTree.Element:
-    """Return the root element of an XML file.
-
-    Raises:
-        InputError: it cannot be read, or is not XML.
-    """
-    try:
-        return ElementTree.parse(path).getroot()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
-    except (ElementTree.ParseError, LookupError, ValueError) as error:
-        raise InputError(f"{path}: not XML ({error})") from error
+def driven_joints(model: pin.Model) -> Matrix:
+    """Return the B (nv×nu) of a torque at every joint that does not float."""
+    return np.ascontiguousarray(np.eye(model.nv)[:, [joint.idx_v for joint in _single(model)]])
 
 
-def urdf_text(path: Path) -> str:
-    """Return the URDF text without meshes, with continuous joints as unlimited revolute."""
-    root = xml_root(path)
-    if root.tag != "robot":
-        raise InputError(f"{path}: got <{root.tag}>, need a URDF with <robot> at its root")
-    for link in root.findall("link"):
-        for shape in (*link.findall("visual"), *link.findall("collision")):
-            link.remove(shape)
-    for joint in root.findall("joint"):
-        if joint.find("mimic") is not None:
-            raise InputError(f"{path}: joint {joint.get('name')!r} is a mimic; not supported")
-        if joint.get("type") == "continuous":
-            joint.set("type", "revolute")
-            limit = joint.find("limit")
-            limit = ElementTree.SubElement(joint, "limit") if limit is None else limit
-            limit.attrib = {"effort": "0", "velocity": "0", **limit.attrib}
-            limit.attrib |= {"lower": f"{-NO_LIMIT}", "upper": f"{NO_LIMIT}"}
-    return ElementTree.tostring(root, encoding="unicode")
+def _single(model: pin.Model) -> list[pin.JointModel]:
+    """Return the joints with one degree of freedom."""
+    return [joint for joint in list(model.joints)[1:] if (joint.nq, joint.nv) == (1, 1)]
+
+
+def _effort(of_joints: Vector, B: Matrix) -> Vector:
+    """Return the limits (nu) of the torques; none where B is no choice of joints."""
+    rows, columns = np.nonzero(B)
+    if not (B[rows, columns] == 1).all() or sorted(columns) != list(range(B.shape[1])):
+        return np.full(B.shape[1], np.inf)
+    effort = np.empty(B.shape[1])
+    effort[columns] = of_joints[rows]
+    return effort
 
 
 def _positive_or_inf(value: ArrayLike, shape: tuple[int, ...], name: str) -> Array:

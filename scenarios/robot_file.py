@@ -7,7 +7,8 @@ import numpy as np
 import pinocchio as pin
 
 from qpctrl.errors import InputError, QpctrlError, unknown_name
-from qpctrl.robot import Robot, from_pinocchio, urdf_text, xml_root
+from qpctrl.robot import Robot, from_pinocchio
+from qpctrl.urdf import urdf_text, xml_root
 from scenarios.plant_model import check_agreement, joint_order, robot_from_mujoco
 
 MODELS = Path(__file__).parent / "models"
@@ -81,7 +82,7 @@ def compile_spec(spec: mujoco.MjSpec, name: str) -> mujoco.MjModel:
     """Return the compiled model.
 
     Raises:
-        InputError: MuJoCo refuses the file.
+        InputError: MuJoCo refuses the file, or it is no arm on a fixed base.
     """
     try:
         model = spec.compile()
@@ -89,6 +90,10 @@ def compile_spec(spec: mujoco.MjSpec, name: str) -> mujoco.MjModel:
         raise InputError(f"robot {name!r}: {_one_line(error)}") from error
     if model.nv == 0:
         raise InputError(f"robot {name!r}: has no joints")
+    if model.nq != model.nv:
+        raise InputError(
+            f"robot {name!r}: has a ball or a floating body; need hinge or slide joints"
+        )
     return model
 
 
