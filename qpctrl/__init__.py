@@ -9,12 +9,13 @@ from qpctrl.mode import Mode
 from qpctrl.objective import Weighted
 from qpctrl.report import ActiveLimit, Command, TickReport, Yield
 from qpctrl.robot import Limits, Robot, from_pinocchio
-from qpctrl.space import TaskSpace
+from qpctrl.space import CentroidalSpace, TaskSpace
 from qpctrl.status import Status
 from qpctrl.urdf import from_urdf
 
 __all__ = [
     "ActiveLimit",
+    "CentroidalSpace",
     "Command",
     "Constraint",
     "Contact",

@@ -5,6 +5,7 @@ One CasADi function of the solver's answer and the tick's outputs.
 
 import casadi as ca
 
+from qpctrl.contact_report import margins, wrenches
 from qpctrl.limit import UNBOUNDED
 from qpctrl.report import TINY_TORQUE
 from qpctrl.spatial import SX
@@ -21,15 +22,17 @@ INPUTS = (
 
 
 def build_certificate(tick: Tick) -> ca.Function:
-    """Return (x, y, z, *INPUTS) → (tau, kkt, gaps) for one tick.
+    """Return (x, y, z, *INPUTS, *A) → (tau, kkt, gaps, wrench, margin) for one tick.
 
     ``kkt`` (4): stationarity, equality, inequality, complementarity, each as its largest
     entry over the largest of the terms that it balances, or over 1 where those are smaller.
     ``gaps`` (4), relative to max |τ|: QP − hybrid, QP − textbook, QP − textbook + curvature,
-    curvature.
+    curvature. ``wrench``, ``margin``: of each contact Aᵀ λ, and what is left of each of its
+    limits; empty where `Tick.contacts` is.
     """
     f = tick.function
-    s = {name: ca.SX.sym(name, *f.size_out(name)) for name in INPUTS}
+    contacts = {place.A for place in tick.contacts}
+    s = {name: ca.SX.sym(name, *f.size_out(name)) for name in (*INPUTS, *sorted(contacts))}
     x, y, z = (ca.SX.sym(n, s[of].shape[0]) for n, of in (("x", "g"), ("y", "b"), ("z", "lb")))
     inputs = [x, y, z, *s.values()]
     s |= {
@@ -44,12 +47,17 @@ def build_certificate(tick: Tick) -> ca.Function:
         _largest(tau - s["tau_textbook"] + s["curvature"]),
         _largest(s["curvature"]),
     )
+    margin = margins(tick.rows.inequality, tick.contacts, s["ub"] - Cx)
+    lam = x[x.shape[0] - tick.mode_rows :]
     return ca.Function(
         "certificate",
         inputs,
-        [tau, _kkt(s, Cx, x, y, z), gaps / size],
+        [
+            *(tau, _kkt(s, Cx, x, y, z), gaps / size),
+            *(wrenches(tick.contacts, s, lam), margin),
+        ],
         ["x", "y", "z", *s],
-        ["tau", "kkt", "gaps"],
+        ["tau", "kkt", "gaps", "wrench", "margin"],
         {"cse": True},
     )
 

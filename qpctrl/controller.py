@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 
-from qpctrl.arrays import Vector, finite_array, positive
+from qpctrl.arrays import Vector, positive
 from qpctrl.certificate import KKT_TOLERANCE
 from qpctrl.compiled import CompileMode
 from qpctrl.engine import Engine
@@ -13,7 +13,7 @@ from qpctrl.memory import Measurement, Memory, remember
 from qpctrl.mode import Mode
 from qpctrl.objective import Reference
 from qpctrl.qp import FORMS
-from qpctrl.rank import DependentRows, check_determined, independent
+from qpctrl.rank import DependentRows, usable_tick
 from qpctrl.report import Command, TickReport
 from qpctrl.robot import Robot
 from qpctrl.solver import NEED_STRICT_CONVEXITY, make_solver
@@ -63,12 +63,9 @@ class Controller:
         self.kkt_tolerance = float(positive(kkt_tolerance, (), "kkt_tolerance"))
         self.engines: dict[str, Engine] = {}
         for mode in modes:
-            usable = independent(robot, mode, dependent_rows)
-            check_determined(robot, usable)
             self.engines[mode.name] = Engine(
                 robot,
-                usable,
-                form=form,
+                usable_tick(robot, mode, dependent_rows, form),
                 solver=make_solver(solver),
                 dt=self.dt,
                 law=law,
@@ -92,7 +89,7 @@ class Controller:
 
         The first tick may change the torque that holds there by ``tau_rate`` times the period.
         """
-        engine, q = self._engine(mode), finite_array(q, (self.robot.nv,), "q")
+        engine, q = self._engine(mode), self.robot.configuration(q, "q")
         return remember(mode, engine.holding_torque(q), q, engine.tick.memory.vector())
 
     def reset(self) -> None:

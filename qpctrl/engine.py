@@ -11,18 +11,17 @@ from qpctrl.compiled import CompileMode, compiled
 from qpctrl.errors import InputError, unknown_name
 from qpctrl.law import Law
 from qpctrl.memory import Measurement, Memory, remember
-from qpctrl.mode import Mode
 from qpctrl.native_step import QuickStep, quick_step
 from qpctrl.native_tick import NativeTick, native_library
 from qpctrl.objective import Reference
 from qpctrl.parts import Runner, TickParts, build_functions
 from qpctrl.python_tick import PythonTick
-from qpctrl.rank import dependent_rows
+from qpctrl.rank import dependent_contacts, dependent_rows
 from qpctrl.report import Command, ReportFormat, TickReport
 from qpctrl.robot import Robot
 from qpctrl.solver import ActiveSet, Solver
 from qpctrl.status import BY_CODE, LIMITED, Status
-from qpctrl.tick import build_tick
+from qpctrl.tick import Tick
 
 OK = Status.OK
 
@@ -50,16 +49,15 @@ class Engine:
     def __init__(
         self,
         robot: Robot,
-        mode: Mode,
+        tick: Tick,
         *,
-        form: str,
         solver: Solver,
         dt: float,
         law: Law,
         tolerance: float,
         compile: CompileMode,
     ) -> None:
-        self.tick = build_tick(robot, mode, form)
+        self.tick = tick
         self._solver, self._dt = solver, dt
         functions = build_functions(robot, self.tick)
         if isinstance(solver, ActiveSet):
@@ -90,7 +88,7 @@ class Engine:
         self._q, self._v = _quick(parts.inputs["q"]), _quick(parts.inputs["v"])
         self._last, self._clock = _quick(parts.last), _quick(parts.clock)
         self._nu, self._remembered = robot.nu, len(parts.last)
-        self._sizes = robot.nu, robot.nv, self.tick.memory.size
+        self._sizes = robot.nu, robot.nq, self.tick.memory.size
         self.inputs = parts.u
         self._places: dict[str, tuple[dict[str, Any], dict[str, Array]]] = {}
         for name, array in self.inputs.items():
@@ -109,6 +107,7 @@ class Engine:
             owners=tuple(row.partition(" ")[2] for row in self.tick.rows.inequality),
             gives=self.tick.gives,
             has_law=self.tick.has_law,
+            contacts=self.tick.contacts,
         )
 
     def reset(self) -> None:
@@ -222,6 +221,9 @@ class Engine:
         layout.view(numbers, "damping")[:] = parts.u["mu"]
         rows = status is Status.DEPENDENT_ROWS
         names = dependent_rows(self.tick, self.terms["row_pivots"]) if rows else ()
+        if status is Status.INACCURATE and self.tick.searched:
+            names = dependent_contacts(self.tick, self.terms["A"])
+            status = Status.DEPENDENT_ROWS if names else status
         tau, q = parts.named["tau"].copy(), parts.named["q"]
         after = remember(self._name, tau, q, memory.x, time)._replace(
             contact=measurement.contact, freeze=True, fallback_ticks=memory.fallback_ticks + 1

@@ -1,11 +1,14 @@
 """A mode: the constraints, contact limits and weighted tasks that are active together."""
 
 from dataclasses import dataclass
+from typing import Literal, get_args
 
 from qpctrl.constraint import Constraint
 from qpctrl.contact import WrenchLimit
-from qpctrl.errors import InputError
+from qpctrl.errors import InputError, unknown_name
 from qpctrl.objective import Weighted
+
+Metric = Literal["inertia", "home"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -17,6 +20,10 @@ class Mode:
     constraints: tuple[Constraint, ...] = ()
     contact_limits: tuple[WrenchLimit, ...] = ()
     """What the contacts can carry; each acts on the constraints of its task space."""
+    metric: Metric = "inertia"
+    """What weighs the costs: the inertia Λ of each task space where the robot is, or that at its
+    home, a constant. The first alone makes costs orthogonal, and closed forms exist for it; the
+    second costs less, for robots with many joints and tasks on many frames."""
     slack: float | None = None
     """Weight w_s of the constraints as a cost ½ w_s ‖A V̇ + Ȧ V − v̇_c‖²_{S⁻¹} that can give way
     when a limit binds, and the input ``slack.weight`` then; None where they hold exactly."""
@@ -28,6 +35,8 @@ class Mode:
         names += ["slack"] if self.slack is not None else []
         if len(set(names)) < len(names):
             raise InputError(f"mode {self.name!r}: names must differ, got {', '.join(names)}")
+        if self.metric not in get_args(Metric):
+            raise unknown_name("metric", self.metric, get_args(Metric))
         if not self.tasks:
             raise InputError(f"mode {self.name!r}: need at least one task")
         held = {constraint.space for constraint in self.constraints}

@@ -2,24 +2,41 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property, partial
 from typing import TypeVar
 
 import casadi as ca
 import numpy as np
+import pinocchio as pin
 
 from qpctrl import limit
 from qpctrl.arrays import Array
 from qpctrl.constraint import PfaffianRows
 from qpctrl.contact import WrenchRows
-from qpctrl.dynamics import Dynamics
+from qpctrl.dynamics import Dynamics, coordinates
 from qpctrl.errors import InputError
 from qpctrl.factor import Factor
 from qpctrl.law import Split
 from qpctrl.layout import Layout
 from qpctrl.mode import Mode
-from qpctrl.objective import ForceObjective, PostureObjective, Scene, Task, TaskExpressions
+from qpctrl.objective import (
+    ForceObjective,
+    GraspObjective,
+    GraspTask,
+    MotionObjective,
+    Scene,
+    Task,
+    TaskExpressions,
+)
 from qpctrl.robot import Robot
-from qpctrl.space import FrameMotion, SpaceTerms, TaskSpace
+from qpctrl.space import (
+    FrameMotion,
+    SpaceTerms,
+    TaskSpace,
+    mobility_at_home,
+    terms_at_home,
+    terms_here,
+)
 from qpctrl.spatial import SX, SymbolicPose
 
 T = TypeVar("T")
@@ -40,12 +57,13 @@ class ModeModel:
     Attributes:
         inputs, memory: layouts of the packed arguments ``u`` and ``x``.
         u_vector, x_vector: those arguments; ``u`` holds the named inputs.
-        dynamics, M_factor: dynamics at (q, v).
+        dynamics: dynamics at (q, v).
         spaces, splits: terms and constraint split of each task space.
+        AJ: constraint rows on joint acceleration (k×nv), all spaces stacked.
         tasks: the tasks, written out.
         h: bias with known external wrenches (nv) [Nm].
         M_N: M − JᵀΛJ (nv×nv), the inertia left when all task spaces are taken; undamped it
-            is NᵀM = NᵀMN.
+            is NᵀM = NᵀMN. With the metric of home a constant (`qpctrl.objective`).
     """
 
     def __init__(self, robot: Robot, mode: Mode) -> None:
@@ -55,12 +73,10 @@ class ModeModel:
         self.u_vector, self.u = self.inputs.symbols("u")
         self.x_vector, self._x = self.memory.symbols("x")
         self.dynamics = Dynamics(robot)
-        self.M_factor = Factor(self.dynamics.M)
-        self.spaces = {
-            space: SpaceTerms(space, self.dynamics, self.M_factor, self.u["mu"])
-            for space in _spaces(mode)
-        }
+        self.spaces = self._terms()
         self.splits = {space: self._split(space) for space in self.spaces}
+        rows = (split.A @ self.spaces[space].J for space, split in self.splits.items())
+        self.AJ = ca.vertcat(ca.SX(0, robot.nv), *rows)
         self.tasks = [
             WrittenTask(task=task, weight=self.u[f"{task.name}.weight"], written=self._write(task))
             for task, _ in mode.tasks
@@ -71,10 +87,17 @@ class ModeModel:
             objective, space = item.written.objective, item.task.space
             if isinstance(objective, ForceObjective) and space is None:
                 raise InputError(f"mode {mode.name!r}: a force task needs a task space")
-            outside = None if isinstance(objective, PostureObjective) else objective.F_ext
+            outside = None
+            if isinstance(objective, MotionObjective | ForceObjective):
+                outside = objective.F_ext
             if space is not None and outside is not None:
                 self.h = self.h + self.spaces[space].J.T @ outside
         self.M_N = self._null_space_inertia()
+
+    @cached_property
+    def M_factor(self) -> Factor:
+        """Factors of the mass matrix."""
+        return Factor(self.dynamics.M)
 
     def of(self, kind: type[T]) -> list[tuple[T, TaskSpace | None]]:
         """Return the objectives of one kind, each with its task space."""
@@ -105,6 +128,13 @@ class ModeModel:
         W = ca.vertcat(ca.SX(0, space.n), *(part.W for part in rows))
         return WrenchRows(W @ A.T, ca.vertcat(ca.SX(0, 1), *(part.ub for part in rows)))
 
+    def _terms(self) -> dict[TaskSpace, SpaceTerms]:
+        spaces = _spaces(self.mode)
+        if self.mode.metric == "inertia":
+            return {s: terms_here(s, self.dynamics, self.M_factor, self.u["mu"]) for s in spaces}
+        mobility = mobility_at_home(self.dynamics, self.robot.home, spaces)
+        return {s: terms_at_home(s, self.dynamics, mobility[s]) for s in spaces}
+
     def _split(self, space: TaskSpace) -> Split:
         terms = self.spaces[space]
         rows = [
@@ -127,7 +157,10 @@ class ModeModel:
             v=self.dynamics.v,
             dt=self.u["dt"],
             freeze=self.u["freeze"],
+            mass=ca.SX(pin.computeTotalMass(self.robot.model)),
+            coordinates=partial(coordinates, self.robot),
             motion=self.spaces[task.space].motion if task.space else nowhere,
+            motions={space: terms.motion for space, terms in self.spaces.items()},
             A=split.A if split else ca.SX(0, 0),
             v_c=split.v_c if split else ca.SX(0, 1),
             S=split.S if split else ca.SX(0, 0),
@@ -139,6 +172,7 @@ class ModeModel:
         forced = [space for _, space in self.of(ForceObjective)]
         if len(set(forced)) < len(forced):
             raise InputError(f"mode {self.mode.name!r}: two force tasks on one task space")
+        forced += [space for grasp, _ in self.of(GraspObjective) for space in grasp.E]
         for constraint in self.mode.constraints:
             if constraint.space not in forced:
                 raise InputError(
@@ -148,6 +182,8 @@ class ModeModel:
 
     def _null_space_inertia(self) -> SX:
         nv = self.robot.nv
+        if self.mode.metric == "home":
+            return _inertia_of_joints(self.robot, self.dynamics)
         spaces = list(self.spaces.values())
         if len(spaces) == 1:
             return self.dynamics.M - spaces[0].task_inertia
@@ -158,8 +194,17 @@ class ModeModel:
         return self.dynamics.M - Factor(mobility).congruence(J)
 
 
+def _inertia_of_joints(robot: Robot, dynamics: Dynamics) -> SX:
+    """Return M(home) without the rows and columns of floating bodies (nv×nv)."""
+    M = np.array(ca.Function("M", [dynamics.q], [ca.densify(dynamics.M)])(robot.home))
+    single = np.array([at is not None for at in robot.coordinates])
+    return ca.sparsify(ca.SX(np.where(np.outer(single, single), M, 0.0)))
+
+
 def _spaces(mode: Mode) -> tuple[TaskSpace, ...]:
     spaces = [task.space for task, _ in mode.tasks if task.space is not None]
+    for task, _ in mode.tasks:
+        spaces += task.contacts if isinstance(task, GraspTask) else ()
     spaces += [constraint.space for constraint in mode.constraints]
     return tuple(dict.fromkeys(spaces))
 

@@ -32,7 +32,7 @@ class _Call(ctypes.Structure):
     _fields_ = tuple((name, _POINTER) for name in ("code", "arg", "res", "iw", "w"))
 
 
-_SIZES = ("nv", "nu", "n", "m", "r", "k", "n_u", "n_x", "law")
+_SIZES = ("nq", "nv", "nu", "n", "m", "r", "k", "n_u", "n_x", "law", "searched")
 _CALLS = ("tick", "certificate", "explanation", "fallback", "limited")
 _ARRAYS = (
     *("clock", "q", "v", "last", "u", "u_mu", "u_freeze", "u_tau_last"),
@@ -72,12 +72,12 @@ class NativeTick:
         work = np.zeros(max(library.qpctrl_qp_work(n, m, r), 1))
         iwork = np.zeros(max(library.qpctrl_qp_iwork(n, m, r), 1), dtype=np.intc)
         given = {
-            "nv": len(parts.inputs["q"]),
+            **{name: len(parts.inputs[name[1]]) for name in ("nq", "nv")},
             "nu": len(parts.named["tau"]),
             **{"n": n, "m": m, "r": r, "k": len(parts.named["lam"])},
             "n_u": len(parts.inputs["u"]),
             "n_x": len(parts.inputs["x"]),
-            "law": get_args(Law).index(law),
+            **{"law": get_args(Law).index(law), "searched": int(parts.searched)},
             **{"tolerance": tolerance, "active_dual": ACTIVE_DUAL},
             **{name: self._call(library, name, getattr(parts, name)) for name in _CALLS},
             **{name: _address(array) for name, array in tick_arrays(parts).items()},

@@ -1,6 +1,6 @@
 """What a task asks of the QP: desired accelerations, wrenches, postures – all expressions."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import NamedTuple, Protocol, TypeAlias, runtime_checkable
 
 from qpctrl.arrays import Array
@@ -26,14 +26,29 @@ class ForceObjective(NamedTuple):
     """Known wrench on the environment outside A's rows (n) [N, Nm], friction for instance."""
 
 
+class GraspObjective(NamedTuple):
+    """Ask for ``Σ E_i A_iᵀ λ_i = F_cmd`` of some contacts: cost ½‖Σ E_i A_iᵀ λ_i − F_cmd‖²_W.
+
+    W is the mobility of the contact frames, averaged over contacts and directions.
+    """
+
+    E: Mapping[TaskSpace, SX]
+    """For each contact the map (6×n) of its wrench on the environment."""
+    F_cmd: SX
+    """Commanded sum (6) [N, Nm]."""
+
+
 class PostureObjective(NamedTuple):
-    """Ask for ``a = a_post`` in the null space: cost ½‖a − a_post‖²_{M_N}."""
+    """Ask for ``a = a_post`` in the null space: cost ½‖a − a_post‖²_{M_N}.
+
+    With the metric of home, M_N is the part of M(home) that belongs to joints.
+    """
 
     a_post: SX
     """Commanded joint acceleration (nv) [rad/s² or m/s²]."""
 
 
-Objective: TypeAlias = MotionObjective | ForceObjective | PostureObjective
+Objective: TypeAlias = MotionObjective | ForceObjective | GraspObjective | PostureObjective
 
 
 class Scene(NamedTuple):
@@ -47,8 +62,14 @@ class Scene(NamedTuple):
     """Control period [s]."""
     freeze: SX
     """1 while integrators hold (a limit was active or contact lost), else 0."""
+    mass: SX
+    """Mass of all that moves [kg]."""
+    coordinates: Callable[[SX], SX]
+    """Maps an array like q (nq) to one like v (nv), with 0 for floating bodies."""
     motion: FrameMotion
     """Pose and twist of the task's frame; a posture must not use it."""
+    motions: Mapping[TaskSpace, FrameMotion]
+    """The same of every space of the mode."""
     A: SX
     """Constraint rows (k×n) acting on that space; k = 0 in free space."""
     v_c: SX
@@ -104,6 +125,15 @@ class Task(Protocol):
         self, scene: Scene, u: Mapping[str, SX], memory: Mapping[str, SX]
     ) -> TaskExpressions:
         """Return the objective at the inputs ``u``."""
+
+
+@runtime_checkable
+class GraspTask(Protocol):
+    """A task on the wrenches of several contacts."""
+
+    @property
+    def contacts(self) -> tuple[TaskSpace, ...]:
+        """Task spaces of the contacts."""
 
 
 class Weighted(NamedTuple):

@@ -36,7 +36,7 @@ def build_functions(robot: Robot, tick: Tick) -> dict[str, ca.Function]:
         tick.function,
         build_certificate(tick),
         build_explanation(robot, tick),
-        build_fallback(robot, tick.inputs),
+        build_fallback(tick.model),
         build_limited(robot, tick.inputs),
     )
     return {function.name(): function for function in functions}
@@ -54,6 +54,7 @@ class TickParts:
         terms: its results, by name.
         qp: the QP among them.
         whole_point, point: solution (x, y, z) of the QP in one array, and its three parts.
+        searched: whether the minimiser without inequalities is to be found, see `Tick.searched`.
         layout, numbers: all that the tick leaves behind, in one vector (`qpctrl.outcome`).
         named: its parts by name.
         u: the named inputs among the argument u.
@@ -67,12 +68,13 @@ class TickParts:
             tick: names and graph of the tick.
             made: what `build_functions` returns, as it is or compiled.
         """
+        self.searched = tick.searched
         self.layout = outcome_layout(robot, tick)
         self.numbers = self.layout.vector()
         self.named = self.layout.views(self.numbers)
         kept = ("tau_hybrid", "tau_textbook", "memory", "signals")
-        self.clock, self.last = np.zeros(3), np.zeros(robot.nu + robot.nv + tick.memory.size)
-        self.tau_last, self.q_last, x_last = np.split(self.last, [robot.nu, robot.nu + robot.nv])
+        self.clock, self.last = np.zeros(3), np.zeros(robot.nu + robot.nq + tick.memory.size)
+        self.tau_last, self.q_last, x_last = np.split(self.last, [robot.nu, robot.nu + robot.nq])
         shared = {key: self.named[key] for key in kept} | {"x": x_last}
         self.tick = Evaluator(made["tick"], shared, MATRICES)
         self.inputs, self.terms = self.tick.inputs, self.tick.outputs

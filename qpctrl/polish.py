@@ -28,6 +28,10 @@ class Polish:
         upper, lower = active_set(qp, rough)
         return self._solve(qp, (upper | lower).nonzero()[0], np.where(upper, qp.ub, qp.lb))
 
+    def without_inequalities(self, qp: QpData) -> Solution:
+        """Return the solution with the equalities alone."""
+        return self._solve(qp, np.empty(0, dtype=np.intp), qp.ub)
+
     def _solve(self, qp: QpData, active: np.ndarray, bound: Vector) -> Solution:
         n, m = self._n, self._n + self._m
         size = m + len(active)

@@ -10,7 +10,7 @@ from qpctrl.law import Law
 from qpctrl.parts import TickParts
 from qpctrl.polish import Polish, active_set
 from qpctrl.report import ACTIVE_DUAL
-from qpctrl.solver import ActiveSet, Solution, Solver
+from qpctrl.solver import ActiveSet, QpData, Solution, Solver
 from qpctrl.status import BY_CODE, LIMITED, Status
 
 WELL_POLISHED = 1e-12
@@ -51,11 +51,11 @@ class PythonTick:
         self._evaluate()
         if parts.terms["dependent"][0]:
             return DEPENDENT_ROWS
-        free = Solution(parts.terms["x_eq"], parts.terms["y_eq"], self._none)
+        free = self._free()
         self._is_free = self._starts_free and self._residual(free) <= WELL_POLISHED
         if self._is_free:
             return self._note(free)
-        rough = self._solver.solve(parts.qp)
+        rough = self._solver.solve(_convex(parts.qp) if parts.searched else parts.qp)
         if not rough.feasible:
             return INFEASIBLE
         if not self._polished(rough, free) <= self._tolerance:
@@ -73,7 +73,7 @@ class PythonTick:
         held["q"][:] = parts.named["q"][:] = q if known else q_last
         if known and np.isfinite(v).all():
             held["v"][:] = v
-        elif known:
+        elif known and len(q) == len(v):
             held["v"][:] = (q - q_last) / (time - last)  # zero after a start, whose time is −∞
         else:
             held["v"][:] = 0.0  # no damping along a velocity nobody knows
@@ -96,6 +96,17 @@ class PythonTick:
         if damping > 0:
             parts.u["mu"][...] = damping
             parts.tick()
+
+    def _free(self) -> Solution:
+        """Return the minimiser without inequalities: that of the graph, or found here."""
+        parts, terms = self._parts, self._parts.terms
+        if not parts.searched:
+            return Solution(terms["x_eq"], terms["y_eq"], self._none)
+        free = self._polish.without_inequalities(parts.qp)
+        terms["x_eq"][:], terms["y_eq"][:] = free.x, free.y
+        T, t = self._torque_map
+        parts.named["tau_hybrid"][:] = parts.named["tau_textbook"][:] = T @ free.x + t
+        return free
 
     def _polished(self, rough: Solution, free: Solution) -> float:
         """Put the polished solution into the buffers, or the solver's own if that is better.
@@ -147,3 +158,12 @@ class PythonTick:
             parts.explanation()
             return LIMITED
         return SOLVED
+
+
+def _convex(qp: QpData) -> QpData:
+    """Return a QP with the same solution whose Hessian is positive definite everywhere.
+
+    To ½ xᵀHx + gᵀx is added ½ s ‖A x − b‖², which is zero where the equalities hold.
+    """
+    s = np.trace(qp.H) / max(float(np.vdot(qp.A, qp.A)), 1e-12)
+    return qp._replace(H=qp.H + s * (qp.A.T @ qp.A), g=qp.g - s * (qp.A.T @ qp.b))

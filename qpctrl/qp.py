@@ -72,6 +72,8 @@ class QpTerms:
     """v̇_c − Ȧ V − A J̇v (k)."""
     slack: bool
     """Whether ``AJ a − b_c`` is a cost, part of H_a and g_a, and not zero."""
+    searched: bool
+    """Whether the minimiser without inequalities is left out, zeros in its place."""
     B: Matrix
     torque: Bounds
     acceleration: Bounds
@@ -107,7 +109,7 @@ class QpTerms:
 def reduced_qp(terms: QpTerms) -> tuple[QpExpressions, RowNames]:
     """Return the QP in (a, λ)."""
     driven, held = np.linalg.pinv(terms.B), terms.held
-    undriven = _complement(terms.B)
+    undriven = complement(terms.B)
     dynamics = ca.horzcat(terms.M, terms.AJ.T)
     T, t = ca.SX(driven) @ dynamics, ca.SX(driven) @ terms.h
     rows = ca.horzcat(terms.AJ[:held, :], ca.SX.zeros(held, terms.k))
@@ -134,7 +136,7 @@ def full_qp(terms: QpTerms) -> tuple[QpExpressions, RowNames]:
     a, lam = ca.vertsplit(reduced.x_eq, [0, terms.nv, terms.nv + k])
     tau = reduced.C[:nu, :] @ reduced.x_eq + reduced.t
     y_c, y_undriven = ca.vertsplit(reduced.y_eq, [0, held, held + terms.nv - nu])
-    y = ca.vertcat(y_c, ca.SX(_complement(terms.B)).T @ y_undriven)
+    y = ca.vertcat(y_c, ca.SX(complement(terms.B)).T @ y_undriven)
     qp = _arrange(terms, ca.SX.zeros(nu, nu), A, b, select, terms.torque)
     dynamics = tuple(f"dynamics {name}" for name in terms.joint_names)
     whole = qp._replace(t=ca.SX.zeros(nu), x_eq=ca.vertcat(a, tau, lam), y_eq=y)
@@ -178,6 +180,8 @@ def _without_inequalities(terms: QpTerms, A: SX, b: SX) -> tuple[SX, SX]:
     With H = diag(H_a, H_λ):  y = −(A H⁻¹ Aᵀ)⁻¹ (b + A H⁻¹ g),  x = −H⁻¹ (g + Aᵀ y).
     """
     nv = terms.nv
+    if terms.searched:
+        return ca.SX.zeros(nv + terms.k), ca.SX.zeros(A.shape[0])
     H_a = Factor(terms.H_a)
     H_lam = Factor(terms.H_lam) if terms.k else None
 
@@ -209,7 +213,7 @@ def _names(terms: QpTerms, dynamics: tuple[str, ...]) -> RowNames:
     return RowNames(rows, rows[: terms.held] + dynamics, inequality)
 
 
-def _complement(B: Matrix) -> Matrix:
+def complement(B: Matrix) -> Matrix:
     """Return rows (nv−nu × nv) that span what B does not drive."""
     left, _, _ = np.linalg.svd(B)
     return np.ascontiguousarray(left[:, B.shape[1] :].T)

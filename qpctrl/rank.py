@@ -4,8 +4,9 @@ from dataclasses import replace
 from typing import Literal, get_args
 
 import numpy as np
+from scipy.linalg import null_space
 
-from qpctrl.arrays import Array, Vector
+from qpctrl.arrays import Array, Matrix, Vector
 from qpctrl.constraint import Constraint, Selection
 from qpctrl.errors import InputError, unknown_name
 from qpctrl.evaluator import Evaluator
@@ -14,6 +15,9 @@ from qpctrl.robot import Robot
 from qpctrl.tick import MATRICES, PIVOT_RATIO, Tick, build_tick
 
 DependentRows = Literal["refuse", "drop"]
+
+DEPENDENT_CONTACTS = 1e-9
+"""Share of a row that is new among the rows before it below which it depends on them."""
 
 DEGENERATE = 1e-10
 """Ratio of the Hessian's eigenvalues below which motion is undetermined."""
@@ -28,50 +32,81 @@ def dependent_rows(tick: Tick, row_pivots: Vector) -> tuple[str, ...]:
     return (tick.rows.constraint[first],)
 
 
-def independent(robot: Robot, mode: Mode, treatment: DependentRows) -> Mode:
-    """Return ``mode`` with independent rows at the robot's home configuration.
+def usable_tick(robot: Robot, mode: Mode, treatment: DependentRows, form: str) -> Tick:
+    """Return the tick of a mode with independent rows, and all motion determined, at home.
 
     Raises:
-        InputError: rows depend on each other and ``treatment`` is ``refuse``.
+        InputError: rows depend on each other and ``treatment`` is ``refuse``; or the Hessian is
+            singular: dependent task axes, or no posture for the freedom that is left.
     """
     if treatment not in get_args(DependentRows):
         raise unknown_name("treatment of dependent rows", treatment, get_args(DependentRows))
-    while names := _dependent_at_home(robot, mode):
+    while True:
+        tick = build_tick(robot, mode)
+        terms = _at_home(robot, tick)
+        names = _dependent(tick, terms)
+        if not names:
+            break
         if treatment == "refuse":
             raise InputError(
                 f"mode {mode.name!r}: constraint row {names[0]} depends on the rows before it; "
                 "remove it, or say dependent_rows='drop'"
             )
         mode = replace(mode, constraints=_without(mode.constraints, names[0]))
-    return mode
+    _check_determined(robot, tick, terms)
+    return tick if form == "reduced" else build_tick(robot, mode, form)
 
 
-def check_determined(robot: Robot, mode: Mode) -> None:
-    """Refuse a mode whose tasks leave some motion undetermined at the robot's home.
-
-    Raises:
-        InputError: the Hessian in a is singular: dependent task axes, or no posture for the
-            freedom that is left.
-    """
-    _, terms = _at_home(robot, mode)
-    eigenvalues = np.linalg.eigvalsh(terms["H"][: robot.nv, : robot.nv])
+def _check_determined(robot: Robot, tick: Tick, terms: dict[str, Array]) -> None:
+    H = terms["H"]
+    if tick.searched:  # H may be flat where the equalities leave no choice
+        Z = null_space(terms["A"])
+        H = Z.T @ H @ Z
+        size = np.sqrt(np.maximum(np.diag(H), np.finfo(float).tiny))
+        H = H / np.outer(size, size)
+    else:
+        H = H[: robot.nv, : robot.nv]
+    eigenvalues = np.linalg.eigvalsh(H)
     if not eigenvalues[0] > DEGENERATE * eigenvalues[-1]:
         raise InputError(
-            f"mode {mode.name!r}: its tasks leave motion undetermined at home; add a posture task, "
-            "or remove task axes that depend on each other"
+            f"mode {tick.mode.name!r}: its tasks leave motion undetermined at home; add a posture "
+            "task, or remove task axes that depend on each other"
         )
 
 
-def _dependent_at_home(robot: Robot, mode: Mode) -> tuple[str, ...]:
-    if not mode.constraints:
-        return ()
-    tick, terms = _at_home(robot, mode)
-    return dependent_rows(tick, terms["row_pivots"])
+def _dependent(tick: Tick, terms: dict[str, Array]) -> tuple[str, ...]:
+    mode = tick.mode
+    held = len({constraint.space for constraint in mode.constraints}) > 1 and mode.slack is None
+    return dependent_rows(tick, terms["row_pivots"]) or (
+        dependent_contacts(tick, terms["A"]) if held else ()
+    )
 
 
-def _at_home(robot: Robot, mode: Mode) -> tuple[Tick, dict[str, Array]]:
-    """Return the tick and its outputs at home, damped, so that a singular home is no matter."""
-    tick = build_tick(robot, mode)
+def dependent_contacts(tick: Tick, A: Matrix) -> tuple[str, ...]:
+    """Return the name of the first equality of the QP that depends on those before it, if any.
+
+    Rows of different contacts may depend on each other where those of each do not: two arms that
+    hold one box against two walls.
+
+    Args:
+        tick: names of the rows.
+        A: the equalities (m×n), all finite.
+    """
+    rows: list[Vector] = []
+    for name, row in zip(tick.rows.equality, A, strict=True):
+        rest = row / max(float(np.linalg.norm(row)), np.finfo(float).tiny)
+        for _ in range(2):  # Gram–Schmidt, twice is enough
+            for known in rows:
+                rest = rest - (known @ rest) * known
+        size = float(np.linalg.norm(rest))
+        if not size > DEPENDENT_CONTACTS:
+            return (name,)
+        rows.append(rest / size)
+    return ()
+
+
+def _at_home(robot: Robot, tick: Tick) -> dict[str, Array]:
+    """Return the outputs of a tick at home, damped, so that a singular home is no matter."""
     evaluate = Evaluator(tick.function, matrices=MATRICES)
     evaluate.inputs["q"][:] = robot.home
     evaluate.inputs["u"][:] = tick.inputs.vector()
@@ -81,7 +116,7 @@ def _at_home(robot: Robot, mode: Mode) -> tuple[Tick, dict[str, Array]]:
         if name.endswith(".weight"):
             u[name][...] = 1.0
     evaluate()
-    return tick, evaluate.outputs
+    return evaluate.outputs
 
 
 def _without(constraints: tuple[Constraint, ...], row: str) -> tuple[Constraint, ...]:

@@ -7,10 +7,11 @@ import numpy as np
 
 from qpctrl.arrays import Array, Vector
 from qpctrl.contact import ContactPhase
+from qpctrl.contact_report import ContactPlace, ContactReport
 from qpctrl.explanation import KINDS
+from qpctrl.gives import Give
 from qpctrl.layout import Layout
 from qpctrl.status import Status
-from qpctrl.tick import Give
 
 TINY_TORQUE = 1e-9
 """Torque [Nm] below which gaps are not relative to the torque any more."""
@@ -79,6 +80,8 @@ class ReportFormat(NamedTuple):
     """Which of the numbers ``give`` belong to which task."""
     has_law: bool
     """Whether closed forms exist."""
+    contacts: tuple[ContactPlace, ...] = ()
+    """Which of the numbers ``wrench`` and ``margin`` belong to which contact."""
 
 
 class TickReport(NamedTuple):
@@ -181,6 +184,23 @@ class TickReport(NamedTuple):
         rows = np.flatnonzero(np.abs(z) > ACTIVE_DUAL).tolist()
         return tuple(
             ActiveLimit(f"{KINDS[int(kind[i])]} {self.format.owners[i]}", float(z[i])) for i in rows
+        )
+
+    @property
+    def contacts(self) -> tuple[ContactReport, ...]:
+        """What each contact carries; empty for a single one without limits, which is ``lam``."""
+        wrench, margin = self._of("wrench"), self._of("margin")
+        binding = [limit.name.partition(" ")[2] for limit in self.active]
+        return tuple(
+            ContactReport(
+                place.name,
+                place.axes,
+                wrench[place.wrench],
+                dict(zip(place.limits, margin[place.margins].tolist(), strict=True)),
+                place.units,
+                tuple(row for row in binding if row.rpartition(".")[0] in place.owners),
+            )
+            for place in self.format.contacts
         )
 
     @property

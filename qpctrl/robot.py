@@ -17,6 +17,9 @@ DEFAULT_TORQUE_RATE = 1000.0
 QUATERNION_OFF = 1e-3
 """How far from 1 the norm of a quaternion may be."""
 
+POSE = ("px", "py", "pz", "qx", "qy", "qz", "qw")
+"""Place and quaternion of a floating body, as they stand in q."""
+
 NO_LIMIT = 1e9
 """Limits of a file from here on mean none."""
 
@@ -120,6 +123,15 @@ class Robot:
         for joint in list(self.model.joints)[1:]:
             name = str(self.model.names[joint.id])
             names += [f"{name}.{axis}" for axis in AXES] if floats(joint) else [name]
+        return tuple(names)
+
+    @property
+    def configuration_names(self) -> tuple[str, ...]:
+        """Names of the entries of q: of the joint; ``BODY.px`` to ``BODY.qw`` where it floats."""
+        names: list[str] = []
+        for joint in list(self.model.joints)[1:]:
+            name = str(self.model.names[joint.id])
+            names += [f"{name}.{part}" for part in POSE] if floats(joint) else [name]
         return tuple(names)
 
     @property

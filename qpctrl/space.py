@@ -4,26 +4,35 @@
 Source: Khatib1987; LynchPark2017 §8.6.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import casadi as ca
+import numpy as np
 
+from qpctrl.arrays import Matrix, Vector
 from qpctrl.dynamics import Dynamics
 from qpctrl.errors import InputError, unknown_name
 from qpctrl.factor import Factor
 from qpctrl.spatial import AXES, SX, SymbolicPose
+
+LEAST_MOBILITY = 1e-6
+"""Smallest eigenvalue of a constant metric over its largest."""
 
 
 @dataclass(frozen=True)
 class TaskSpace:
     """Axes of the body twist of a frame, expressed in that frame.
 
-    A planar arm uses ``("vx", "vy")``; everything holds for that n.
+    A planar arm uses ``("vx", "vy")``; everything holds for that n. The twist is that in the
+    world, or as seen from another frame of the robot: that of a hand from the box that it holds.
     """
 
     frame: str
     axes: tuple[str, ...] = AXES
+    relative_to: str | None = None
+    """Frame from which the motion is seen; none: the world."""
 
     def __post_init__(self) -> None:
         for axis in self.axes:
@@ -48,13 +57,26 @@ class TaskSpace:
         return any(axis.startswith("w") for axis in self.axes)
 
 
+@dataclass(frozen=True)
+class CentroidalSpace(TaskSpace):
+    """Axes of the momentum about the centre of mass, in the axes of the world.
+
+    Its "velocity" is the momentum h_G = A_G v [kg m/s, kg m²/s], its inertia the inverse of mass
+    and composite inertia: the costs of a motion of it have the unit of all others.
+    Source: Orin2013.
+    """
+
+    frame: str = "centre of mass"
+
+
 class FrameMotion(NamedTuple):
     """Pose and twist of the frame of a task space."""
 
     space: TaskSpace
     X_WF: SymbolicPose
+    """Pose in the world, or in the frame from which it is seen; of a centre of mass its place."""
     V_full: SX
-    """Body twist (6) [m/s, rad/s]."""
+    """Body twist (6) [m/s, rad/s]; of a centre of mass the momentum [kg m/s, kg m²/s]."""
 
     @property
     def V(self) -> SX:
@@ -62,32 +84,81 @@ class FrameMotion(NamedTuple):
         return self.V_full[self.space.index]
 
 
-class SpaceTerms:
-    """Expressions of one task space at (q, v).
+class SpaceTerms(NamedTuple):
+    """Expressions of one task space at (q, v)."""
 
-    Attributes:
-        motion: pose and twist of the frame.
-        J: Jacobian of the space's axes (n×nv).
-        J_dot_v: drift (n) [m/s², rad/s²].
-        Lambda_inv, Lambda: task-space inertia and its inverse (n×n), damped by ``mu``.
-        task_inertia: JᵀΛJ (nv×nv), the part of M that the task space takes.
-        mobility_left: 1 / Λ_ii (n), the mobility along an axis while the others are held, over
-            the frame's mobility in all directions of the same unit; 0 at a singularity.
+    space: TaskSpace
+    motion: FrameMotion
+    """Pose and twist of the frame."""
+    J: SX
+    """Jacobian of the space's axes (n×nv)."""
+    J_dot_v: SX
+    """Drift (n) [m/s², rad/s²]."""
+    Lambda_inv: SX
+    """Inverse of the task-space inertia (n×n)."""
+    Lambda: SX
+    """Task-space inertia (n×n)."""
+    task_inertia: SX
+    """JᵀΛJ (nv×nv), the part of M that the task space takes; empty where Λ is a constant."""
+    root: SX
+    """R (n×nv) with RᵀR = JᵀΛJ where Λ is a constant; else empty."""
+    mobility_left: SX
+    """1 / Λ_ii (n), the mobility along an axis while the others are held, over the frame's mobility
+    in all directions of the same unit; 0 at a singularity. Empty where Λ is a constant."""
+
+
+def terms_here(space: TaskSpace, dynamics: Dynamics, M_factor: Factor, mu: SX) -> SpaceTerms:
+    """Return the terms with the inertia of the robot where it is, damped by ``mu``."""
+    motion, J_full, drift = _kinematics(space, dynamics)
+    index, J = space.index, ca.densify(J_full[space.index, :])
+    mobility = M_factor.congruence(ca.densify(J_full.T))
+    Lambda_inv = mobility[index, index] + mu * ca.SX.eye(space.n)
+    factor = Factor(Lambda_inv)
+    Lambda = factor.congruence(ca.SX.eye(space.n))
+    left = 1 / (ca.diag(Lambda) * _whole_mobility(mobility)[index])
+    inertia, drift, none = factor.congruence(J), ca.densify(drift[index]), ca.SX(0, 0)
+    return SpaceTerms(space, motion, J, drift, Lambda_inv, Lambda, inertia, none, left)
+
+
+def terms_at_home(space: TaskSpace, dynamics: Dynamics, Lambda_inv: Matrix) -> SpaceTerms:
+    """Return the terms with a constant inertia, whose inverse (n×n) `mobility_at_home` finds."""
+    motion, J_full, drift = _kinematics(space, dynamics)
+    J, Lambda = J_full[space.index, :], np.linalg.inv(Lambda_inv)
+    root = ca.sparsify(ca.SX(np.linalg.cholesky(Lambda).T)) @ J
+    drift, none = ca.densify(drift[space.index]), ca.SX(0, 0)
+    metric = ca.SX(Lambda_inv), ca.SX(Lambda)
+    return SpaceTerms(space, motion, J, drift, *metric, none, root, ca.SX(0, 1))
+
+
+def mobility_at_home(
+    dynamics: Dynamics, home: Vector, spaces: Iterable[TaskSpace]
+) -> dict[TaskSpace, Matrix]:
+    """Return J M⁻¹ Jᵀ (n×n) of each space at ``home`` (nq).
+
+    No eigenvalue is below `LEAST_MOBILITY` of the largest: a home that is singular still gives a
+    metric.
     """
+    spaces = tuple(spaces)
+    rows = [_kinematics(space, dynamics)[1][space.index, :] for space in spaces]
+    terms = ca.Function("home", [dynamics.q], [dynamics.M, *(ca.densify(J) for J in rows)])
+    M, *found = (np.array(term) for term in terms.call([ca.DM(home)]))
+    mobility = {}
+    for space, J in zip(spaces, found, strict=True):
+        values, vectors = np.linalg.eigh(J @ np.linalg.solve(M, J.T))
+        kept = np.maximum(values, LEAST_MOBILITY * values[-1])
+        mobility[space] = (vectors * kept) @ vectors.T
+    return mobility
 
-    def __init__(self, space: TaskSpace, dynamics: Dynamics, M_factor: Factor, mu: SX) -> None:
-        frame = dynamics.frame(space.frame)
-        index = space.index
-        self.space = space
-        self.motion = FrameMotion(space, frame.X_WF, ca.densify(frame.J @ dynamics.v))
-        self.J = ca.densify(frame.J[index, :])
-        self.J_dot_v = ca.densify(frame.J_dot_v[index])
-        mobility = M_factor.congruence(ca.densify(frame.J.T))
-        self.Lambda_inv = mobility[index, index] + mu * ca.SX.eye(space.n)
-        Lambda_inv = Factor(self.Lambda_inv)
-        self.Lambda = Lambda_inv.congruence(ca.SX.eye(space.n))
-        self.task_inertia = Lambda_inv.congruence(self.J)
-        self.mobility_left = 1 / (ca.diag(self.Lambda) * _whole_mobility(mobility)[index])
+
+def _kinematics(space: TaskSpace, dynamics: Dynamics) -> tuple[FrameMotion, SX, SX]:
+    """Return motion, Jacobian (6×nv) and drift (6) of all axes of the frame of a space."""
+    if isinstance(space, CentroidalSpace):
+        _, p_WC, J, drift = dynamics.centroid()
+        X_WF = SymbolicPose(ca.SX.eye(3), p_WC)
+    else:
+        name, other = space.frame, space.relative_to
+        X_WF, J, drift = dynamics.frame(name) if other is None else dynamics.relative(name, other)
+    return FrameMotion(space, X_WF, ca.densify(J @ dynamics.v)), J, drift
 
 
 def _whole_mobility(mobility: SX) -> SX:

@@ -5,22 +5,27 @@ before the loop starts.
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
 
 from qpctrl import limit
 from qpctrl.contact import WrenchRows
+from qpctrl.contact_report import ContactPlace, contact_places
+from qpctrl.costs import costs_in_a, grasp_costs
 from qpctrl.errors import InputError
+from qpctrl.gives import Give, what_tasks_get
 from qpctrl.law import LawTerms, LawTorque, closed_forms
 from qpctrl.layout import Layout
 from qpctrl.mode import Mode
 from qpctrl.model import ModeModel
-from qpctrl.objective import ForceObjective, MotionObjective, PostureObjective
+from qpctrl.objective import (
+    ForceObjective,
+    MotionObjective,
+    PostureObjective,
+)
 from qpctrl.qp import FORMS, QpExpressions, QpTerms, RowNames
 from qpctrl.robot import Robot
-from qpctrl.slack import row_units, with_slack
 from qpctrl.space import TaskSpace
 from qpctrl.spatial import SX
 
@@ -38,20 +43,13 @@ MATRICES = ("H", "A", "C", "G")
 """Outputs of a tick that are matrices, also for a robot with a single joint."""
 
 
-class Give(NamedTuple):
-    """Which rows of ``G x`` measure how far one task, or the slack, can give way."""
-
-    task: str
-    rows: slice
-    axes: tuple[str, ...]
-    units: tuple[str, ...]
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Tick:
     """The function of one mode, and the names of what goes in and comes out."""
 
     mode: Mode
+    model: ModeModel
+    """The expressions that the function is made from."""
     function: ca.Function
     inputs: Layout
     memory: Layout
@@ -66,6 +64,11 @@ class Tick:
     """Which entries of H, A, C and G can differ from zero."""
     has_law: bool
     """Whether closed forms exist: one task space, one motion task, B = I."""
+    contacts: tuple[ContactPlace, ...]
+    """What a report says about contacts."""
+    searched: bool
+    """Whether the minimiser without inequalities is found by whoever solves the QP; its outputs
+    here, the torques of the laws among them, are zeros then."""
 
 
 def build_tick(robot: Robot, mode: Mode, form: str = "reduced") -> Tick:
@@ -84,28 +87,20 @@ def build_tick(robot: Robot, mode: Mode, form: str = "reduced") -> Tick:
     terms = _qp_terms(model)
     qp, rows = FORMS[form](terms)
     law = _law(model)
-    gives, G = _gives(model, form, terms)
+    gives, G = what_tasks_get(model, form, terms)
     signals = {
         f"{item.task.name}.{key}": value
         for item in model.tasks
         for key, value in item.written.signals.items()
     }
-    splits = [split for split in model.splits.values() if split.k]
     outputs = {
         **qp._asdict(),
         **_law_outputs(law, form, qp),
         "G": G,
+        **_space_outputs(model),
         "memory": model.memory_after(),
-        "mobility_left": (mobility := _stack(t.mobility_left for t in model.spaces.values())),
-        "damping": _damping(mobility),
-        "row_pivots": (pivots := _stack(split.pivot_ratios for split in splits)),
-        "dependent": _count_below(pivots, PIVOT_RATIO),
         "signals": _stack(ca.vec(ca.densify(value)) for value in signals.values()),
     }
-    for i, (space, split) in enumerate(
-        zip(model.spaces.values(), model.splits.values(), strict=True)
-    ):
-        outputs |= {f"Lambda{i}": space.Lambda, f"P{i}": split.P, f"A{i}": split.A}
     function = ca.Function(
         "tick",
         [model.dynamics.q, model.dynamics.v, model.u_vector, model.x_vector],
@@ -116,6 +111,7 @@ def build_tick(robot: Robot, mode: Mode, form: str = "reduced") -> Tick:
     )
     return Tick(
         mode=mode,
+        model=model,
         function=function,
         inputs=model.inputs,
         memory=model.memory,
@@ -123,45 +119,30 @@ def build_tick(robot: Robot, mode: Mode, form: str = "reduced") -> Tick:
         signals={key: int(value.numel()) for key, value in signals.items()},
         gives=gives,
         spaces=tuple(model.spaces),
-        mode_rows=sum(split.k for split in splits),
+        mode_rows=terms.k,
         patterns={"G": G.sparsity()}
         | {name: getattr(qp, name).sparsity() for name in ("H", "A", "C")},
         has_law=law is not None,
+        contacts=contact_places(model),
+        searched=terms.searched,
     )
 
 
-def _costs_in_a(model: ModeModel) -> tuple[SX, SX]:
-    """Return H_a (nv×nv) and g_a (nv) of motion, posture and, where there is any, slack."""
-    nv = model.robot.nv
-    H_a, g_a = ca.SX(nv, nv), ca.SX(nv, 1)
-    for item in model.tasks:
-        objective, weight = item.written.objective, item.weight
-        if isinstance(objective, PostureObjective):
-            H_a += weight * model.M_N
-            g_a -= weight * (model.M_N @ objective.a_post)
-        elif isinstance(objective, MotionObjective) and item.task.space:
-            terms = model.spaces[item.task.space]
-            H_a += weight * terms.task_inertia
-            g_a += weight * (terms.J.T @ (terms.Lambda @ (terms.J_dot_v - objective.a_cmd)))
-    return (H_a, g_a) if model.mode.slack is None else with_slack(model, H_a, g_a)
-
-
 def _qp_terms(model: ModeModel) -> QpTerms:
-    nv, u = model.robot.nv, model.u
-    H_a, g_a = _costs_in_a(model)
+    u = model.u
+    H_a, g_a = costs_in_a(model)
     force_cost = {space: (ca.SX(0), ca.SX.zeros(space.n)) for space in model.spaces}
     for item in model.tasks:
         objective = item.written.objective
         if isinstance(objective, ForceObjective) and item.task.space:
             force_cost[item.task.space] = (item.weight, objective.F_cmd)
-    H_lam, g_lam, AJ, b_c = [], [ca.SX(0, 1)], [ca.SX(0, nv)], [ca.SX(0, 1)]
+    H_lam, g_lam, b_c = [], [ca.SX(0, 1)], [ca.SX(0, 1)]
     contact = [model.contact_rows(space) for space in model.spaces]
     for space, split in model.splits.items():
         weight, F_cmd = force_cost[space]
         terms = model.spaces[space]
         H_lam.append(weight * split.S)
         g_lam.append(-weight * (split.A @ terms.Lambda_inv @ F_cmd))
-        AJ.append(split.A @ terms.J)
         b_c.append(split.v_c_dot - split.A_dot_V - split.A @ terms.J_dot_v)
     constraints = [
         constraint
@@ -170,21 +151,25 @@ def _qp_terms(model: ModeModel) -> QpTerms:
         if constraint.space == space
     ]
     limits = limit.named(u)
+    H_grasp, g_grasp = grasp_costs(model)
     return QpTerms(
         H_a=H_a,
         g_a=g_a,
-        H_lam=ca.diagcat(*H_lam),
-        g_lam=ca.vertcat(*g_lam),
+        H_lam=ca.diagcat(*H_lam) + H_grasp,
+        g_lam=ca.vertcat(*g_lam) + g_grasp,
         M=model.dynamics.M,
         h=model.h,
-        AJ=ca.vertcat(*AJ),
+        AJ=model.AJ,
         b_c=ca.vertcat(*b_c),
         slack=model.mode.slack is not None,
+        searched=model.mode.metric == "home",
         B=model.robot.B,
         torque=limit.torque_bounds(
             limits, u["dt"], limit.actuator_speed(model.robot, model.dynamics.v)
         ),
-        acceleration=limit.acceleration_bounds(limits, model.dynamics.q, model.dynamics.v),
+        acceleration=limit.acceleration_bounds(
+            limits, model.dynamics.coordinates, model.dynamics.v
+        ),
         contact=WrenchRows(
             ca.diagcat(*(part.W for part in contact)), _stack(part.ub for part in contact)
         ),
@@ -206,7 +191,13 @@ def _law(model: ModeModel) -> LawTorque | None:
     motions, forces = model.of(MotionObjective), model.of(ForceObjective)
     postures = model.of(PostureObjective)
     square = np.array_equal(model.robot.B, np.eye(model.robot.nv))
-    if not square or len(model.spaces) != 1 or len(motions) != 1 or len(postures) > 1:
+    if (
+        model.mode.metric != "inertia"
+        or not square
+        or len(model.spaces) != 1
+        or len(motions) != 1
+        or len(postures) > 1
+    ):
         return None
     space, terms = next(iter(model.spaces.items()))
     return closed_forms(
@@ -223,6 +214,24 @@ def _law(model: ModeModel) -> LawTorque | None:
     )
 
 
+def _space_outputs(model: ModeModel) -> dict[str, SX]:
+    """Return what is known of the task spaces: rows, inertia, how far from singular they are."""
+    splits = [split for split in model.splits.values() if split.k]
+    mobility = _stack(terms.mobility_left for terms in model.spaces.values())
+    pivots = _stack(split.pivot_ratios for split in splits)
+    outputs = {
+        "mobility_left": mobility,
+        "damping": _damping(mobility),
+        "row_pivots": pivots,
+        "dependent": _count_below(pivots, PIVOT_RATIO),
+    }
+    for i, (space, split) in enumerate(model.splits.items()):
+        outputs[f"A{i}"] = split.A
+        if model.mode.metric == "inertia":
+            outputs |= {f"Lambda{i}": model.spaces[space].Lambda, f"P{i}": split.P}
+    return outputs
+
+
 def _law_outputs(law: LawTorque | None, form: str, qp: QpExpressions) -> dict[str, SX]:
     if law is None:  # the equality-constrained QP takes the place of the closed form
         nu = qp.t.shape[0]
@@ -236,39 +245,6 @@ def _law_outputs(law: LawTorque | None, form: str, qp: QpExpressions) -> dict[st
         "curvature": law.curvature,
         "x_law": ca.vertcat(law.a, middle, law.lam),
     }
-
-
-def _gives(model: ModeModel, form: str, terms: QpTerms) -> tuple[tuple[Give, ...], SX]:
-    """Return rows G with ``G x`` = what each task gets: J a, Aᵀ λ, or M_N a; A J a with slack."""
-    nv = model.robot.nv
-    nu = model.robot.nu if form == "full" else 0
-    k_all = sum(split.k for split in model.splits.values())
-    offset, column = {}, nv + nu
-    for space, split in model.splits.items():
-        offset[space], column = column, column + split.k
-    gives, blocks, start = [], [ca.SX(0, nv + nu + k_all)], 0
-    for item in model.tasks:
-        objective, owner = item.written.objective, item.task.space
-        axes = owner.axes if owner else model.robot.joint_names
-        block = ca.SX(len(axes), nv + nu + k_all)
-        if isinstance(objective, ForceObjective) and owner:
-            split = model.splits[owner]
-            block[:, offset[owner] : offset[owner] + split.k] = split.A.T
-            units = tuple("N" if axis.startswith("v") else "Nm" for axis in axes)
-        elif owner:
-            block[:, :nv] = model.spaces[owner].J
-            units = tuple("m/s²" if axis.startswith("v") else "rad/s²" for axis in axes)
-        else:
-            block[:, :nv] = model.M_N
-            units = ("Nm",) * len(axes)
-        blocks.append(block)
-        gives.append(Give(item.task.name, slice(start, start + len(axes)), axes, units))
-        start += len(axes)
-    if terms.slack:
-        blocks.append(ca.horzcat(terms.AJ, ca.SX(k_all, nu + k_all)))
-        rows = slice(start, start + k_all)
-        gives.append(Give("slack", rows, terms.constraint_rows, row_units(model)))
-    return tuple(gives), ca.vertcat(*blocks)
 
 
 def _check_determined(model: ModeModel) -> None:

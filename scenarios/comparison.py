@@ -21,6 +21,7 @@ from qpctrl.robot import Robot
 from qpctrl.solver import make_solver
 from qpctrl.space import TaskSpace
 from qpctrl.status import Status
+from qpctrl.tick import build_tick
 from scenarios.equivalence import Case, Row
 from scenarios.robot_file import load_robot
 from tasks import ForceReference, ForceTask, MotionReference, MotionTask, PostureTask
@@ -47,13 +48,12 @@ class Comparison:
         self._case, self._rng = case, np.random.default_rng([seed, case.k, len(case.robot)])
         self._robot = load_robot(case.robot)
         self._space = TaskSpace("flange", case.axes)
-        mode = _mode(self._robot, self._space, case.k)
+        tick = build_tick(self._robot, _mode(self._robot, self._space, case.k), form)
 
         def engine(compile: CompileMode) -> Engine:
             return Engine(
                 self._robot,
-                mode,
-                form=form,
+                tick,
                 solver=make_solver(solver),
                 dt=1e-3,
                 law="qp",

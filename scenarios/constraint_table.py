@@ -21,7 +21,7 @@ from qpctrl.dynamics import Dynamics
 from qpctrl.factor import Factor
 from qpctrl.law import Split
 from qpctrl.robot import Robot
-from qpctrl.space import SpaceTerms
+from qpctrl.space import terms_here
 from qpctrl.spatial import AXES
 from scenarios.constraint_catalogue import Entry
 from scenarios.guided import FLANGE
@@ -216,5 +216,5 @@ def _example(twist: Equations, motion: Mapping[str, float]) -> Twist:
 def _mobility(robot: Robot) -> Matrix:
     """Return Λ⁻¹ (6×6) of the flange at home."""
     dynamics = Dynamics(robot)
-    space = SpaceTerms(FLANGE, dynamics, Factor(dynamics.M), ca.SX(0))
+    space = terms_here(FLANGE, dynamics, Factor(dynamics.M), ca.SX(0))
     return np.array(ca.Function("mobility", [dynamics.q], [space.Lambda_inv])(robot.home))

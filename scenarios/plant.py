@@ -39,6 +39,8 @@ class PlantState(NamedTuple):
     joints: JointReading | None = None
     """What the drives say; none where joints deliver just what is asked. A plant with drives
     gives a reading with every state, that of `Plant.reset` included."""
+    contacts: tuple[Wrench, ...] = ()
+    """True wrench (6) [N, Nm] of robot on environment at each contact that the experiment names."""
 
 
 class Plant(Protocol):

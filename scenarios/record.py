@@ -68,12 +68,18 @@ class Record:
     """Collects ticks and turns them into pieces of a table now and then."""
 
     def __init__(
-        self, controller: Controller, *, driven: bool = False, only: Collection[str] | None = None
+        self,
+        controller: Controller,
+        *,
+        driven: bool = False,
+        contacts: Sequence[str] = (),
+        only: Collection[str] | None = None,
     ) -> None:
         """Prepare the columns.
 
         Args:
             controller: its robot names the joints, its modes the multipliers and signals.
+            contacts: names of the contacts whose wrenches the plant measures one by one.
             driven: whether the joints have drives, whose readings come with every tick.
             only: quantities to keep: names of columns up to their dot, ``lam`` and ``signals``
                 for those that modes have of their own, without ``active`` and ``explanation``;
@@ -81,10 +87,11 @@ class Record:
         """
         robot, engines = controller.robot, controller.engines
         self._B, self._driven, self._only = robot.B, driven, only
-        sizes = {"q": robot.nv, "v": robot.nv, "wrench_meas": 6, "wrench": 6, "tau": robot.nu}
+        sizes = {"q": robot.nq, "v": robot.nv, "wrench_meas": 6, "wrench": 6, "tau": robot.nu}
         sizes |= dict.fromkeys((*DELIVERED, *ELECTRIC) if driven else (), robot.nu)
+        sizes |= {"contact": 6 * len(contacts)} if contacts else {}
         self._measured = Layout({name: np.zeros(size) for name, size in sizes.items()})
-        common = _common_columns(robot, driven)
+        common = _common_columns(robot, driven, contacts)
         places = {mode: self._places(engine, common) for mode, engine in engines.items()}
         common = {name: columns for name, columns in common.items() if self._keeps(name)}
         self._names = tuple(dict.fromkeys(chain(*common.values(), *places.values())))
@@ -116,7 +123,8 @@ class Record:
         sorting, arrays = self._sortings[mode], (state.q, state.v, state.wrench_meas, state.wrench)
         readings = joints[:4] if joints is not None and self._driven else ()  # torques, electric
         row = sorting.rows[len(noted)]
-        np.concatenate((*arrays, command.tau, *readings, report.numbers), out=row)
+        each = state.contacts
+        np.concatenate((*arrays, command.tau, *readings, *each, report.numbers), out=row)
         eventful = saturated or command.fallback or report.numbers[sorting.damping] > 0
         if eventful and self._only is None:
             self._eventful.append((len(noted), report))
@@ -146,6 +154,8 @@ class Record:
             "gaps": GAPS if engine.format.has_law else GAPS[:1],
             **{name: common[name] for name in ("damping", *OF_LAWS)},
             "lam": [f"lam.{row}" for row in tick.rows.constraint],
+            "wrench": [f"qp.{c.name}.{axis}" for c in tick.contacts for axis in _wrench(c.axes)],
+            "margin": [f"margin.{limit}" for c in tick.contacts for limit in c.limits],
             "signals": [f"{name}.{i}" for name, n in tick.signals.items() for i in range(n)],
         }
         sources = [
@@ -240,17 +250,24 @@ class Record:
             marks.extend(noted[name])
 
 
-def _common_columns(robot: Robot, driven: bool) -> dict[str, list[str]]:
+def _wrench(axes: Sequence[str]) -> list[str]:
+    """Return the names of the parts of a wrench along some axes of a twist."""
+    return [axis.replace("v", "f").replace("w", "m") for axis in axes]
+
+
+def _common_columns(robot: Robot, driven: bool, contacts: Sequence[str]) -> dict[str, list[str]]:
     """Return the columns of each quantity that every mode has."""
     joints, actuators = robot.joint_names, robot.actuator_names
     parts = {
-        **dict.fromkeys(("q", "v"), joints),
+        **{"q": robot.configuration_names, "v": joints},
         **dict.fromkeys(("tau", *OF_LAWS), actuators),
         **dict.fromkeys(DELIVERED, joints),
         **dict.fromkeys(ELECTRIC if driven else (), actuators),
         **dict.fromkeys(("wrench_meas", "wrench"), WRENCH),
     }
     vectors = {name: [f"{name}.{part}" for part in own] for name, own in parts.items()}
+    if contacts:
+        vectors["contact"] = [f"contact.{name}.{part}" for name in contacts for part in WRENCH]
     return {**{name: [name] for name in SCALARS}, **vectors}
 
 

@@ -52,6 +52,8 @@ class Experiment:
     """Longest time the run can take [s]."""
     geometry: Mapping[str, Array]
     """Poses (4×4) that a picture of the run needs, by name."""
+    contacts: tuple[str, ...] = ()
+    """Names of the contacts whose wrenches the plant tells one by one."""
 
 
 class Criterion(NamedTuple):

@@ -50,7 +50,12 @@ def simulate(
     B = controller.robot.B
     all_driven = np.array_equal(B, np.eye(len(B)))
     state = plant.reset(experiment.q_start)
-    kept = Record(controller, driven=state.joints is not None) if record is None else record
+    driven = state.joints is not None
+    kept = (
+        Record(controller, driven=driven, contacts=experiment.contacts)
+        if record is None
+        else record
+    )
     memory = controller.start(experiment.start_mode, experiment.q_start)
     clock, ticks = time.perf_counter_ns, 0
     gc.collect(1)  # a full collection takes as long as a thousand ticks

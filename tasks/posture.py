@@ -47,9 +47,9 @@ class PostureTask:
     q_ref: Vector
     """Configuration (nq) [rad or m] until a reference gives another."""
     K_p: Array | float = 20.0
-    """Stiffness per unit inertia (nv) [1/s²]."""
+    """Stiffness per unit inertia (nq) [1/s²]; a floating body has none."""
     K_d: Array | float = 9.0
-    """Damping per unit inertia (nv) [1/s]."""
+    """Damping per unit inertia (nq) [1/s]."""
     name: str = "posture"
     space: None = None
     """A posture lives in joint space."""
@@ -80,5 +80,6 @@ class PostureTask:
         self, scene: Scene, u: Mapping[str, SX], memory: Mapping[str, SX]
     ) -> TaskExpressions:
         """Return a_post at the configuration ``u``."""
-        a_post = u["K_p"] * (u["q_ref"] - scene.q) - u["K_d"] * scene.v
+        pull = scene.coordinates(u["K_p"] * (u["q_ref"] - scene.q))
+        a_post = pull - scene.coordinates(u["K_d"]) * scene.v
         return TaskExpressions(objective=PostureObjective(a_post), memory={}, signals={})

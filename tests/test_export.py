@@ -259,7 +259,7 @@ def test_mode_switches_bad_ticks_and_limits_are_replayed() -> None:
 def test_a_replay_sees_a_gain_a_measurement_and_a_torque_that_were_changed(tmp_path: Path) -> None:
     folder, numbers = written(), np.fromfile(written() / RECORDING)
     layout = make().engines[TOUCHING].tick.inputs
-    first = 7 + layout.size + 7  # of the first tick: after the head, all inputs, configuration
+    first = 8 + layout.size + 7  # of the first tick: after the head, all inputs, configuration
     gain = first + 4 + 7 + 7 + 7 + 3 + layout.place("motion.K_p").start + 3
     assert numbers[gain] == MotionTask(space=SPACE).K_p[3]  # around x, which is not constrained
     for changed in (gain, first + 4, first + 4 + 7 + 7):
@@ -583,7 +583,7 @@ int main(void)
 {
     static wipe_controller a;
     static wipe_other_controller b;
-    const double q[WIPE_NV] = {0}, home[WIPE_OTHER_NV] = {0.4, 0.9};
+    const double q[WIPE_NQ] = {0}, home[WIPE_OTHER_NQ] = {0.4, 0.9};
     double tau[WIPE_NU], tau_other[WIPE_OTHER_NU];
     wipe_init(&a);
     wipe_other_init(&b);

@@ -286,12 +286,28 @@ def test_an_inexact_minimiser_is_refined_where_that_is_asked_for(solve: Solve) -
         qp = drawn(rng, 9, 2, r)
         exact = freed(qp._replace(lb=np.full(r, -np.inf), ub=np.full(r, UNBOUNDED)))
         spoilt = exact._replace(x_eq=exact.x_eq * (1 + 1e-8), y_eq=exact.y_eq * (1 - 1e-8))
+        guess = spoilt.x_eq.copy()
         left, found = solve(spoilt), solve(spoilt, always=True)
         assert (found.code, found.z.tolist()) == (SOLVED, [0.0] * r)
-        assert found.rough_x.tobytes() == spoilt.x_eq.tobytes()
+        assert found.rough_x.tobytes() == guess.tobytes()
+        assert found.x.tobytes() == spoilt.x_eq.tobytes()  # refined in place
         scale = np.abs(exact.x_eq).max()
         assert np.abs(left.x - exact.x_eq).max() > 1e-9 * scale
         assert np.abs(found.x - exact.x_eq).max() < 1e-13 * scale
+
+
+def test_the_free_minimiser_is_found_from_nothing_and_told_where_rows_bind(solve: Solve) -> None:
+    rng, bound = np.random.default_rng(5), 0
+    for _ in range(50):
+        problem = freed(drawn(rng, 12, 4, 20))
+        nothing = problem._replace(x_eq=np.zeros(12), y_eq=np.zeros(4))
+        known, found = solve(problem), solve(nothing, always=True)
+        assert (known.code, found.code) == (SOLVED, SOLVED)
+        scale = np.abs(problem.x_eq).max()
+        assert np.abs(nothing.x_eq - problem.x_eq).max() < 1e-11 * scale
+        assert np.abs(found.x - known.x).max() < 1e-11 * scale
+        bound += bool(known.z.any())
+    assert bound > 10
 
 
 @pytest.mark.parametrize("missed", [1e-11, 1e-6, 1.0])

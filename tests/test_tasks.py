@@ -32,6 +32,10 @@ POINT = TaskSpace("tool", ("vx", "vy", "vz"))
 FREE = np.zeros((0, 6))
 
 
+MASS = 3.0
+"""Of all that moves [kg]."""
+
+
 class Bench:
     """A task written out alone: numbers in, objective, memory and signals out."""
 
@@ -47,6 +51,7 @@ class Bench:
         motion = FrameMotion(space, SymbolicPose(R, p), V)
         scene = Scene(
             **{"q": q, "v": v, "dt": dt, "freeze": freeze, "motion": motion},
+            **{"mass": ca.SX(MASS), "coordinates": lambda q: q, "motions": {space: motion}},
             **{"A": A, "v_c": v_c, "S": S, "Lambda_inv": ca.SX.eye(6)},
         )
         written = task.objective(scene, u, x)

@@ -41,6 +41,11 @@ class Footprint:
         """Edge of the face at which the tool would tip."""
         return ("-x", "+x", "+y", "-y")
 
+    @property
+    def unit(self) -> str:
+        """Unit of its rows."""
+        return "Nm"
+
     def inputs(self) -> dict[str, Array]:
         """Return the half lengths [m]."""
         return {"half": np.array(self.half, dtype=np.float64)}

@@ -46,6 +46,11 @@ class FrictionCone:
         """Direction of each side in the tangent plane, in degrees from x."""
         return tuple(f"{360 * i / self.sides:g}deg" for i in range(self.sides))
 
+    @property
+    def unit(self) -> str:
+        """Unit of its rows."""
+        return "N"
+
     def inputs(self) -> dict[str, Array]:
         """Return the coefficient of friction."""
         return {"mu": np.array(float(self.mu))}

@@ -36,6 +36,11 @@ class MaxForce:
         """The one direction."""
         return ("fz",)
 
+    @property
+    def unit(self) -> str:
+        """Unit of its rows."""
+        return "N"
+
     def inputs(self) -> dict[str, Array]:
         """Return the largest force [N]."""
         return {"limit": np.array(float(self.limit))}

@@ -33,6 +33,10 @@ class WrenchLimit(Protocol):
     def row_names(self) -> tuple[str, ...]:
         """Name of each row."""
 
+    @property
+    def unit(self) -> str:
+        """Unit of every row: N or Nm."""
+
     def inputs(self) -> dict[str, Array]:
         """Return the values that may change every tick, with their defaults."""
 

@@ -24,7 +24,7 @@ def modes_header(
     """
     NAME = name.upper()
     guard = f"{NAME}_MODES_H"
-    fixed = {"NV": robot.nv, "NU": robot.nu, "MODES": len(modes), **sizes(modes)}
+    fixed = {"NQ": robot.nq, "NV": robot.nv, "NU": robot.nu, "MODES": len(modes), **sizes(modes)}
     parts = [
         comment(f"Sizes, modes and inputs of the controller {name}; written by qpctrl export."),
         f"#ifndef {guard}\n#define {guard}\n",

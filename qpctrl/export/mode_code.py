@@ -83,9 +83,21 @@ class ModeCode:
         n, m, r = (len(values) for values in parts.point)
         self.qp = n, m, r
         self.sizes: dict[str, float] = {
-            **{"nv": robot.nv, "nu": robot.nu, "n": n, "m": m, "r": r, "k": tick.mode_rows},
+            **{
+                "nq": robot.nq,
+                "nv": robot.nv,
+                "nu": robot.nu,
+                "n": n,
+                "m": m,
+                "r": r,
+                "k": tick.mode_rows,
+            },
             **{"n_u": len(self.inputs), "n_x": tick.memory.size},
-            **{"law": get_args(Law).index(controller.law), "tolerance": controller.kkt_tolerance},
+            **{
+                "searched": int(parts.searched),
+                "law": get_args(Law).index(controller.law),
+                "tolerance": controller.kkt_tolerance,
+            },
             "active_dual": ACTIVE_DUAL,
         }
 

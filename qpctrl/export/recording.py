@@ -10,7 +10,7 @@ from qpctrl.export.meaning import PRIVATE
 from qpctrl.memory import Measurement
 from qpctrl.report import Command
 
-MARK, VERSION = 1234.5, 1.0
+MARK, VERSION = 1234.5, 2.0
 """First numbers of a recording; replay.c has the same."""
 
 
@@ -29,7 +29,7 @@ class Recording:
         self._number = {name: i for i, name in enumerate(controller.engines)}
         self._own = {name: _public(controller, name) for name in controller.engines}
         robot, u = controller.robot, self._inputs(mode)
-        head = [MARK, VERSION, robot.nv, robot.nu, len(self._number)]
+        head = [MARK, VERSION, robot.nq, robot.nv, robot.nu, len(self._number)]
         self._parts: list[Vector] = [np.array([*head, self._number[mode], len(u)]), u, q.copy()]
         self._before: tuple[str, Vector] | None = None
         self.ticks = self.fallback_ticks = 0

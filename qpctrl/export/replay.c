@@ -5,9 +5,9 @@
  * Exit code 0 if the torques are those that were recorded, 1 if not, 2 if it cannot be read.
  *
  * A recording holds nothing but doubles, in the byte order of the machine that wrote it:
- *     1234.5, version 1, NV, NU, number of modes
- *     at the start: mode, number of its inputs, these inputs, q (NV)
- *     each step:    mode, time, contact closed (0 or 1), fallback (0 or 1), q (NV), v (NV),
+ *     1234.5, version 2, NQ, NV, NU, number of modes
+ *     at the start: mode, number of its inputs, these inputs, q (NQ)
+ *     each step:    mode, time, contact closed (0 or 1), fallback (0 or 1), q (NQ), v (NV),
  *                   tau (NU), number of spans, and each span of inputs that changed:
  *                   its first input, its length, the inputs
  */
@@ -21,7 +21,7 @@
 #include <time.h>
 
 #define MARK 1234.5
-#define VERSION 1.0
+#define VERSION 2.0
 #define ACCURACY 1e-10 /* of the torques, relative to the largest */
 
 typedef struct {
@@ -97,11 +97,12 @@ static int ascending(const void *a, const void *b)
 
 static void check_head(reader *from)
 {
-    const double *head = take(from, 5);
+    const double *head = take(from, 6);
     if (head[0] != MARK || head[1] != VERSION) {
         refuse("not a recording, or one of another version or byte order");
     }
-    if (head[2] != QPCTRL_NV || head[3] != QPCTRL_NU || head[4] != QPCTRL_MODES) {
+    if (head[2] != QPCTRL_NQ || head[3] != QPCTRL_NV || head[4] != QPCTRL_NU ||
+        head[5] != QPCTRL_MODES) {
         refuse("a recording of another controller");
     }
 }
@@ -118,7 +119,7 @@ static void start(reader *from, qpctrl_controller *c)
     for (int i = 0; i < n_u; ++i) {
         u[i] = values[i];
     }
-    if (qpctrl_start(c, mode, take(from, QPCTRL_NV)) != 0) {
+    if (qpctrl_start(c, mode, take(from, QPCTRL_NQ)) != 0) {
         refuse("the controller cannot start there");
     }
 }
@@ -137,7 +138,7 @@ static double step(reader *from, qpctrl_controller *c, verdict *found)
     const double time = *take(from, 1);
     const int closed = whole(from, 2, "contact closed is neither 0 nor 1");
     const int fallback = whole(from, 2, "fallback is neither 0 nor 1");
-    const double *q = take(from, QPCTRL_NV), *v = take(from, QPCTRL_NV);
+    const double *q = take(from, QPCTRL_NQ), *v = take(from, QPCTRL_NV);
     const double *recorded = take(from, QPCTRL_NU);
     const int n_u = qpctrl_input_count(mode);
     for (int spans = whole(from, n_u + 1, "more spans than inputs"); spans > 0; --spans) {

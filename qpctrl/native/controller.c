@@ -109,7 +109,7 @@ static void carry(qpctrl_controller *c, int mode)
 {
     const qpctrl_mode *m = &qpctrl_modes[mode];
     const qpctrl_tick *before = &c->ticks[c->mode], *t = &c->ticks[mode];
-    const int front = t->nu + t->nv;
+    const int front = t->nu + t->nq;
     copy(t->last, before->last, front);
     copy(t->last + front, m->x, t->n_x);
     for (int i = 0; i < m->n_carries; ++i) {
@@ -145,7 +145,7 @@ static void keep_solution(qpctrl_controller *c, int contact_closed)
 {
     const qpctrl_mode *m = &qpctrl_modes[c->mode];
     const qpctrl_tick *t = &c->ticks[c->mode];
-    copy(t->last, c->numbers + m->first + m->outcome, t->nu + t->nv + t->n_x);
+    copy(t->last, c->numbers + m->first + m->outcome, t->nu + t->nq + t->n_x);
     c->time = t->clock[0];
     c->freeze = c->outcome == QPCTRL_LIMITED || (m->has_rows && !contact_closed);
 }
@@ -154,7 +154,7 @@ static void hold(qpctrl_controller *c)
 {
     const qpctrl_mode *m = &qpctrl_modes[c->mode];
     const qpctrl_tick *t = &c->ticks[c->mode];
-    const int front = t->nu + t->nv, known = qpctrl_hold(t);
+    const int front = t->nu + t->nq, known = qpctrl_hold(t);
     double *outcome = c->numbers + m->first + m->outcome;
     if (known) {
         c->time = t->clock[0];
@@ -185,7 +185,7 @@ int qpctrl_start(qpctrl_controller *c, int mode, const double *q)
     if (!is_mode(mode)) {
         return QPCTRL_UNKNOWN_MODE;
     }
-    for (int i = 0; i < QPCTRL_NV; ++i) {
+    for (int i = 0; i < QPCTRL_NQ; ++i) {
         if (!isfinite(q[i])) {
             return QPCTRL_NOT_FINITE;
         }
@@ -193,14 +193,14 @@ int qpctrl_start(qpctrl_controller *c, int mode, const double *q)
     const qpctrl_mode *m = &qpctrl_modes[mode];
     const qpctrl_tick *t = &c->ticks[mode];
     const qpctrl_call *fallback = &t->fallback;
-    copy(t->fallback_q, q, t->nv);
+    copy(t->fallback_q, q, t->nq);
     fill(t->fallback_v, 0.0, t->nv);
     fallback->code(fallback->arg, fallback->res, fallback->iw, fallback->w, 0);
     copy(t->u_tau_last, c->numbers + m->first + m->held, t->nu); /* no rate limit from nowhere */
     fallback->code(fallback->arg, fallback->res, fallback->iw, fallback->w, 0);
     copy(t->last, t->tau, t->nu);
-    copy(t->last + t->nu, q, t->nv);
-    copy(t->last + t->nu + t->nv, m->x, t->n_x);
+    copy(t->last + t->nu, q, t->nq);
+    copy(t->last + t->nu + t->nq, m->x, t->n_x);
     for (int i = 0; i < QPCTRL_MODES; ++i) {
         forget_references(c, i);
     }
@@ -222,7 +222,7 @@ int qpctrl_step(qpctrl_controller *c, int mode, double time, int contact_closed,
     }
     const int refused = enter(c, mode);
     const qpctrl_tick *t = &c->ticks[c->mode];
-    copy(t->q, q, t->nv);
+    copy(t->q, q, t->nq);
     copy(t->v, v, t->nv);
     t->clock[0] = time;
     t->clock[1] = c->time;

@@ -73,7 +73,7 @@ typedef struct {
  * default are NaN until they are written, anew whenever their mode is entered. */
 void qpctrl_init(qpctrl_controller *c);
 
-/* Hold still at `q` (NV) in `mode`. References are to be written after this, not before.
+/* Hold still at `q` (NQ) in `mode`. References are to be written after this, not before.
  * Returns 0, QPCTRL_UNKNOWN_MODE or QPCTRL_NOT_FINITE; nothing is changed by the latter two. */
 int qpctrl_start(qpctrl_controller *c, int mode, const double *q);
 
@@ -85,7 +85,7 @@ int qpctrl_start(qpctrl_controller *c, int mode, const double *q);
  *   time            of the measurement [s], later than that of the step before
  *   contact_closed  whether force can be exchanged; in a mode with constraints integrators hold
  *                   unless it is
- *   q, v            measured (NV)
+ *   q, v            measured (NQ, NV)
  */
 int qpctrl_step(qpctrl_controller *c, int mode, double time, int contact_closed, const double *q,
                 const double *v, double *tau);

@@ -104,7 +104,7 @@ static int load(const binding *b, PyObject *measurement, PyObject *references, P
           PyTuple_GET_SIZE(memory) == REMEMBERED)) {
         return 0;
     }
-    if (!(take_vector(PyTuple_GET_ITEM(measurement, Q), t->q, t->nv) &&
+    if (!(take_vector(PyTuple_GET_ITEM(measurement, Q), t->q, t->nq) &&
           take_vector(PyTuple_GET_ITEM(measurement, V), t->v, t->nv) &&
           take_front(PyTuple_GET_ITEM(memory, PACKED), t->last, b->remembered))) {
         return 0;

@@ -215,11 +215,11 @@ static int pulling(Qp *p, double same)
     return mu < -same * largest_of(1, p->q, p->mu) ? least : -1;
 }
 
-/* From the violated row i on, or from -1 where none is. What refinement uncovers is looked for less closely every time. */
-static int solve(Qp *p, int i, double *rough_x)
+/* From the violated row i on, or from none, with the last residual. What refinement uncovers is
+ * looked for less closely every time. */
+static int solve(Qp *p, int i, double error, double *rough_x)
 {
-    double same = SAME, error = 0;
-    if (i < 0) error = refine(p), i = violated(p, same);
+    double same = SAME;
     while (i >= 0) {
         int code;
         do {
@@ -259,7 +259,7 @@ int qpctrl_qp_iwork(int n, int m, int r) { return n + m + r + 1; }
 
 int qpctrl_qp(int n, int m, int r, const double *H, const double *g, const double *A,
               const double *b, const double *C, const double *lb, const double *ub,
-              const double *x_eq, const double *y_eq, double *x, double *y, double *z,
+              double *x_eq, double *y_eq, double *x, double *y, double *z,
               double *rough_x, double *w, int *iw, int always)
 {
     Qp p = {.g = g, .b = b, .C = C, .lb = lb, .ub = ub, .basic = iw, .row = iw + m};
@@ -286,7 +286,14 @@ int qpctrl_qp(int n, int m, int r, const double *H, const double *g, const doubl
         if (!exchange(n, m, p.ld, p.T, p.basic, p.dx, p.ry) ||
             !bases(n, m, p.ld, p.H, p.T, p.basic, p.dx, p.Y, p.J, p.N, p.c, p.ry, p.d))
             return QPCTRL_QP_FAILED;
-        code = solve(&p, worst, rough_x);
+        double error = 0;
+        int first = worst;
+        if (always) {
+            error = refine(&p), first = violated(&p, SAME);
+            for (int j = 0; j < n; j++) x_eq[j] = p.x[j];
+            for (int i = 0; i < m; i++) y_eq[i] = p.y[i];
+        }
+        code = solve(&p, first, error, rough_x);
         for (int j = 0; j < p.q; j++) z[p.row[j]] = p.state[p.row[j]] * fmax(p.mu[j], 0);
     }
     for (int j = 0; j < n; j++) x[j] = p.x[j];

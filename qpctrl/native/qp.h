@@ -40,7 +40,7 @@ int qpctrl_qp_iwork(int n, int m, int r);
  *   g (n)
  *   A (m x n), b (m)    rows of A independent
  *   C (r x n), lb, ub (r)
- *   x_eq (n), y_eq (m)  the solution without the rows of C
+ *   x_eq (n), y_eq (m)  the solution without the rows of C; for `always` a guess of it, 0 is one
  * Out, apart from the inputs and from each other; without meaning unless solved:
  *   x (n), y (m), z (r) the solution: x_eq, y_eq and 0 to the bit where x_eq keeps every row, but
  *                       for `always`; else
@@ -49,14 +49,14 @@ int qpctrl_qp_iwork(int n, int m, int r);
  *                       to judge, but beyond 1e-6 the problem counts as failed
  *   rough_x (n)         x before refinement
  *   w, iw               workspace
- * always: whether x_eq is refined where it keeps every row; that factorises the problem.
+ * always: whether x_eq and y_eq are refined first, in place; that factorises the problem.
  *
  * Rows may depend on each other, repeat each other, and have lb = ub. One may be violated by 1e-13
  * of the largest entry of C x, or of 1; where rows contradict each other in round-off, by 1e-10.
  */
 int qpctrl_qp(int n, int m, int r, const double *H, const double *g, const double *A,
               const double *b, const double *C, const double *lb, const double *ub,
-              const double *x_eq, const double *y_eq, double *x, double *y, double *z,
+              double *x_eq, double *y_eq, double *x, double *y, double *z,
               double *rough_x, double *w, int *iw, int always);
 
 #ifdef __cplusplus

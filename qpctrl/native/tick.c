@@ -86,6 +86,13 @@ static int solve_qp(const qpctrl_tick *t, int refined)
                                 t->x_eq, t->y_eq, t->point_x, t->point_y, t->point_z, t->rough,
                                 t->work, t->iwork, refined);
     if (found == QPCTRL_QP_SOLVED) {
+        if (t->searched) {
+            if (largest(t->point_z, t->r) == 0.0) {
+                copy(t->rough, t->point_x, t->n);
+            }
+            torque_of(t, t->x_eq, t->tau_hybrid);
+            copy(t->tau_textbook, t->tau_hybrid, t->nu);
+        }
         evaluate(&t->certificate);
         return QPCTRL_FREE;
     }
@@ -95,8 +102,8 @@ static int solve_qp(const qpctrl_tick *t, int refined)
 /* The minimiser without inequalities comes from the graph; where it is inexact it is refined. */
 static int solve_and_certify(const qpctrl_tick *t)
 {
-    int failed = solve_qp(t, 0);
-    if (!failed && largest(t->point_z, t->r) == 0.0 && !(largest(t->kkt, 4) <= WELL_POLISHED)) {
+    int failed = solve_qp(t, t->searched);
+    if (!failed && !t->searched && largest(t->point_z, t->r) == 0.0 && !(largest(t->kkt, 4) <= WELL_POLISHED)) {
         failed = solve_qp(t, 1);
     }
     return failed ? failed : accurate(t) ? QPCTRL_FREE : QPCTRL_INACCURATE;
@@ -104,7 +111,7 @@ static int solve_and_certify(const qpctrl_tick *t)
 
 int qpctrl_solve(const qpctrl_tick *t)
 {
-    if (!(all_finite(t->q, t->nv) && all_finite(t->v, t->nv) && all_finite(t->clock, 1))) {
+    if (!(all_finite(t->q, t->nq) && all_finite(t->v, t->nv) && all_finite(t->clock, 1))) {
         return QPCTRL_NOT_FINITE;
     }
     if (t->clock[0] <= t->clock[1]) {
@@ -126,7 +133,7 @@ int qpctrl_solve(const qpctrl_tick *t)
     torque_of(t, t->rough, t->tau_solver);
     copy(t->lam, t->point_x + (t->n - t->k), t->k);
     copy(t->z, t->point_z, t->r);
-    copy(t->q_out, t->q, t->nv);
+    copy(t->q_out, t->q, t->nq);
     *t->time = t->clock[0];
     if (t->law == QPCTRL_LAW_QP) {
         copy(t->tau, t->tau_qp, t->nu);
@@ -144,12 +151,12 @@ int qpctrl_hold(const qpctrl_tick *t)
 {
     const double *const q_last = t->last + t->nu;
     const double elapsed = t->clock[0] - t->clock[1];
-    const int known = elapsed > 0.0 && all_finite(t->clock, 1) && all_finite(t->q, t->nv);
+    const int known = elapsed > 0.0 && all_finite(t->clock, 1) && all_finite(t->q, t->nq);
     copy(t->u_tau_last, t->last, t->nu);
-    copy(t->fallback_q, known ? t->q : q_last, t->nv);
-    copy(t->q_out, t->fallback_q, t->nv);
+    copy(t->fallback_q, known ? t->q : q_last, t->nq);
+    copy(t->q_out, t->fallback_q, t->nq);
     for (int i = 0; i < t->nv; ++i) { /* no damping along a velocity nobody knows */
-        t->fallback_v[i] = known ? (t->q[i] - q_last[i]) / elapsed : 0.0;
+        t->fallback_v[i] = known && t->nq == t->nv ? (t->q[i] - q_last[i]) / elapsed : 0.0;
     }
     if (known && all_finite(t->v, t->nv)) {
         copy(t->fallback_v, t->v, t->nv);

@@ -38,22 +38,24 @@ enum {
 enum { QPCTRL_LAW_QP, QPCTRL_LAW_HYBRID, QPCTRL_LAW_TEXTBOOK };
 
 typedef struct {
-    int nv, nu;      /* velocities, torques */
+    int nq, nv, nu;  /* configuration, velocities, torques */
     int n, m, r, k;  /* variables, equalities, inequalities of the QP; multipliers */
     int n_u, n_x;    /* packed inputs, packed memory of the tasks */
     int law;
+    int searched;    /* whether the minimiser without inequalities is to be searched for */
     double tolerance;   /* largest accepted KKT residual */
     double active_dual; /* a row counts as active when its dual is larger than this */
     qpctrl_call tick, certificate, explanation, fallback, limited;
 
     /* What goes in. */
     double *clock; /* time of this and of the last good measurement [s]; 1 if integrators hold */
-    double *q, *v; /* (nv) measured */
-    double *last;  /* torque sent (nu), believed configuration (nv), memory of the tasks (n_x) */
+    double *q, *v; /* (nq, nv) measured */
+    double *last;  /* torque sent (nu), believed configuration (nq), memory of the tasks (n_x) */
     double *u;     /* (n_u) inputs; some of them: */
     double *u_mu, *u_freeze, *u_tau_last;
 
-    /* The QP, results of `tick`; column-major. */
+    /* The QP, results of `tick`; column-major. Where it is searched for, x_eq and y_eq come in as
+     * zeros, and tau_hybrid and tau_textbook as well. */
     double *H, *g, *A, *b, *C, *lb, *ub, *t, *x_eq, *y_eq;
     double *damping_wanted, *dependent;
     double *point_x, *point_y, *point_z; /* (n, m, r) the solution */
@@ -63,11 +65,11 @@ typedef struct {
     double *tau;                             /* (nu) torque to send */
     double *tau_qp, *tau_solver;             /* (nu) */
     double *tau_hybrid, *tau_textbook;       /* (nu) */
-    double *time, *q_out;                    /* (1, nv) */
+    double *time, *q_out;                    /* (1, nq) */
     double *lam, *kkt, *z;                   /* (k, 4, r) */
     double *damping;                         /* (1) */
 
-    double *fallback_q, *fallback_v; /* (nv) arguments of `fallback` */
+    double *fallback_q, *fallback_v; /* (nq, nv) arguments of `fallback` */
     double *limited_tau, *limited_v; /* (nu, nv) arguments of `limited` */
 
     double *work;

@@ -55,6 +55,11 @@ class PointFriction:
         """Sides of the pyramid, and both ends of the normal force."""
         return ("+x", "-x", "+y", "-y", "most", "least")
 
+    @property
+    def unit(self) -> str:
+        """Unit of its rows."""
+        return "N"
+
     def inputs(self) -> dict[str, Array]:
         """Return coefficient μ and the bounds on the normal force [N]."""
         sizes = {"mu": FRICTION, "most": LARGEST, "least": SMALLEST}
