@@ -17,6 +17,7 @@ from qpctrl.evaluator import Evaluator
 from scenarios.bench.course import DT, contact_mode, course
 from scenarios.bench.goal import goals
 from scenarios.bench.growth import fitted_power, growth, in_the_way, power
+from scenarios.bench.humanoid import HAND, HUMANOID, ROWS, SOLES, humanoid, standing_course
 from scenarios.bench.page import render_page
 from scenarios.bench.part_trial import PartTrial, calls_of, dynamics_function
 from scenarios.bench.plan import Plan
@@ -46,6 +47,7 @@ TINY = Plan(
     codes=(False,),
     solvers=("daqp",),
     joints=(9,),
+    humanoid=True,
     paced=4,
     runs=1,
     rollouts=1,
@@ -253,6 +255,22 @@ def test_states_of_a_course_move_along_its_contact(robot: str, k: int) -> None:
     )
 
 
+def test_a_humanoid_stands_where_it_stood_while_it_sways_and_reaches() -> None:
+    robot, count = humanoid(), 400
+    moments = standing_course(robot, count)
+    assert [len(moments), robot.nv, robot.nu] == [count, 35, 29]
+    poses = {
+        space.frame: [robot.pose(moment.q, space.frame) for moment in moments]
+        for space in (*SOLES.values(), HAND)
+    }
+    for sole in SOLES.values():
+        stood = poses[sole.frame]
+        off = [np.linalg.norm(pin.log6(stood[0].actInv(pose)).vector) for pose in stood]
+        assert max(off) < 2e-4  # what steps of a millisecond leave of a foot that rests
+    way = np.ptp([pose.translation for pose in poses[HAND.frame]], axis=0)
+    assert (way > 0.01).all()
+
+
 def test_the_wall_of_the_planar_arm_turns_before_its_tool_as_it_says() -> None:
     arm = load_robot("planar_2r")
     moments = course(arm, TOOL, 1)
@@ -275,6 +293,7 @@ def test_a_contact_that_no_arm_has_is_refused() -> None:
 def test_a_run_has_every_line_with_figures_that_can_be_times(result: Result) -> None:
     names = {(row.section, row.name, row.joints, row.k) for row in result.rows}
     ticks = {("fr3", 7, 1), ("fr3", 7, 3), ("fr3", 7, 5), ("planar_2r", 2, 1), ("serial 9", 9, 3)}
+    ticks.add((HUMANOID, 35, ROWS))
     assert {name[1:] for name in names if name[0] == "tick"} == ticks
     for section, count in (("saturated", 5), ("paced", 2), ("simulation", 4)):
         assert len(result.of(section)) == count
@@ -327,14 +346,13 @@ def test_what_a_compiled_tick_is_made_of_is_timed_in_c() -> None:
     assert {
         "whole tick",
         "Python around them",
-        "references",
         "call",
         "graph",
         "QP",
         "certificate",
     } <= set(rows)
     assert rows["call"].facts["taken_off_us"] == 0
-    assert 0 < rows["graph"].facts["taken_off_us"] < rows["graph"].timing.max_us
+    assert rows["graph"].facts["taken_off_us"] > 0
     assert rows["call"].median_us < rows["whole tick"].median_us
     assert 0 < qp.row().facts["kkt_max"] <= DEFAULT_KKT
     engine = loop.controller.engines["contact"]

@@ -23,6 +23,8 @@ class Plan:
     """Back-ends of the QP."""
     joints: tuple[int, ...] = (14, 28, 38)
     """Of the arms that are larger than an FR3."""
+    humanoid: bool = True
+    """Whether a humanoid on two feet is measured too, the largest to compile."""
     paced: int = 3000
     """Ticks of each paced case; each takes a period [ms]."""
     runs: int = 3
@@ -57,13 +59,14 @@ class Plan:
 
 
 def quick(plan: Plan) -> Plan:
-    """Return a plan of a few seconds: 7 and 14 joints, and a tenth of the ticks."""
+    """Return a plan of a few seconds: 7 and 14 joints, no humanoid, a tenth of the ticks."""
     return Plan(
         ticks=min(plan.ticks, QUICK_TICKS),
         rounds=min(plan.rounds, QUICK_ROUNDS),
         codes=plan.codes,
         solvers=plan.solvers,
         joints=(14,),
+        humanoid=False,
         paced=500,
         runs=1,
         rollouts=3,

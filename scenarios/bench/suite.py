@@ -9,8 +9,16 @@ import numpy as np
 from qpctrl.arrays import Vector
 from qpctrl.controller import Controller
 from qpctrl.errors import InputError
+from qpctrl.mode import Mode
 from qpctrl.robot import Robot
 from scenarios.bench.course import LENGTH, Moment, contact_mode, course
+from scenarios.bench.humanoid import (
+    HUMANOID,
+    ROWS,
+    humanoid,
+    standing_course,
+    standing_mode,
+)
 from scenarios.bench.part_trial import EMPTY, PartTrial, calls_of
 from scenarios.bench.plan import Plan
 from scenarios.bench.qp_trial import InnerQpTrial, QpTrial, problems
@@ -54,7 +62,9 @@ class Suite:
     eraser: EraserTrial | None = None
     rollouts: RolloutTrial | None = None
     notes: list[str] = field(default_factory=list)
-    _courses: dict[tuple[str, int], tuple[Robot, tuple[Moment, ...]]] = field(default_factory=dict)
+    _courses: dict[tuple[str, int], tuple[Robot, tuple[Moment, ...], Mode]] = field(
+        default_factory=dict
+    )
 
     @property
     def trials(self) -> list[Trial]:
@@ -83,7 +93,7 @@ class Suite:
         """Return a new controller on its course.
 
         Args:
-            robot: ``planar_2r``, ``fr3`` or the number of joints of a serial arm.
+            robot: ``planar_2r``, ``fr3``, ``humanoid`` or the number of joints of a serial arm.
             k: rows of the contact.
             compiled: whether it runs as generated C.
             solver: of the QP; default: the controller's own.
@@ -92,18 +102,27 @@ class Suite:
             InputError: it cannot be compiled.
         """
         self.watch(f"build {robot}, k = {k}{f', {solver}' if solver else ''}")
-        if (robot, k) not in self._courses:
-            arm = serial_arm(int(robot)) if robot.isdigit() else load_robot(robot)
-            self._courses[robot, k] = arm, course(arm, TOOL, k, LENGTH)
-        arm, moments = self._courses[robot, k]
+        arm, moments, mode = self._course(robot, k)
         started = time.perf_counter()
-        modes, how = [contact_mode(arm, TOOL, k)], CODE[compiled]
+        modes, how = [mode], CODE[compiled]
         if solver is None:
             controller = Controller(arm, modes, compile=how)
         else:
             controller = Controller(arm, modes, compile=how, solver=solver)
         ready = time.perf_counter() - started
         return Loop(controller=controller, moments=moments, k=k, compiled=compiled, ready_s=ready)
+
+    def _course(self, robot: str, k: int) -> tuple[Robot, tuple[Moment, ...], Mode]:
+        """Return robot, ticks and mode of a case; the ticks take long to make, once."""
+        if (robot, k) not in self._courses:
+            if robot == HUMANOID:
+                body = humanoid()
+                found = body, standing_course(body, LENGTH), standing_mode(body)
+            else:
+                arm = serial_arm(int(robot)) if robot.isdigit() else load_robot(robot)
+                found = arm, course(arm, TOOL, k, LENGTH), contact_mode(arm, TOOL, k)
+            self._courses[robot, k] = found
+        return self._courses[robot, k]
 
 
 def build(plan: Plan, watch: Watch, *, required: bool = False) -> Suite:
@@ -135,7 +154,7 @@ def build(plan: Plan, watch: Watch, *, required: bool = False) -> Suite:
 def _cases(plan: Plan) -> list[tuple[str, int]]:
     """Return robots and rows of their contacts, the headline first."""
     fixed = [(HEADLINE, K), (HEADLINE, 1), (HEADLINE, 5), ("planar_2r", 1)]
-    return fixed + [(str(joints), K) for joints in plan.joints]
+    return fixed + [(str(joints), K) for joints in plan.joints] + [(HUMANOID, ROWS)] * plan.humanoid
 
 
 def add_case(suite: Suite, robot: str, k: int, *, compiled: bool, required: bool) -> None:
