@@ -1,19 +1,42 @@
 """The costs of a mode's tasks, as Hessians and gradients in a and λ."""
 
+from collections.abc import Sequence
+from typing import NamedTuple
+
 import casadi as ca
 
-from qpctrl.model import ModeModel
-from qpctrl.objective import GraspObjective, MotionObjective, PostureObjective
+from qpctrl.model import ModeModel, WrittenTask
+from qpctrl.objective import ForceObjective, GraspObjective, MotionObjective, PostureObjective
 from qpctrl.slack import with_slack
 from qpctrl.space import SpaceTerms
 from qpctrl.spatial import SX
 
 
-def costs_in_a(model: ModeModel) -> tuple[SX, SX]:
-    """Return H_a (nv×nv) and g_a (nv) of motion, posture and, where there is any, slack."""
+class Costs(NamedTuple):
+    """Costs ½ aᵀH_a a + g_aᵀa + ½ λᵀH_lam λ + g_lamᵀλ."""
+
+    H_a: SX
+    """(nv×nv)."""
+    g_a: SX
+    """(nv)."""
+    H_lam: SX
+    """(k×k)."""
+    g_lam: SX
+    """(k)."""
+
+
+def costs_of(model: ModeModel, tasks: Sequence[WrittenTask]) -> Costs:
+    """Return the costs of some tasks and, where there is any, of the slack."""
+    H_a, g_a = _costs_in_a(model, tasks)
+    H_lam, g_lam = _force_costs(model, tasks)
+    H_grasp, g_grasp = _grasp_costs(model, tasks)
+    return Costs(H_a, g_a, H_lam + H_grasp, g_lam + g_grasp)
+
+
+def _costs_in_a(model: ModeModel, tasks: Sequence[WrittenTask]) -> tuple[SX, SX]:
     nv = model.robot.nv
     H_a, g_a = ca.SX(nv, nv), ca.SX(nv, 1)
-    for item in model.tasks:
+    for item in tasks:
         objective, weight = item.written.objective, item.weight
         if isinstance(objective, PostureObjective):
             H_a += weight * model.M_N
@@ -23,6 +46,20 @@ def costs_in_a(model: ModeModel) -> tuple[SX, SX]:
             H_a += _inertia(terms, weight)
             g_a += weight * (terms.J.T @ (terms.Lambda @ (terms.J_dot_v - objective.a_cmd)))
     return (H_a, g_a) if model.mode.slack is None else with_slack(model, H_a, g_a)
+
+
+def _force_costs(model: ModeModel, tasks: Sequence[WrittenTask]) -> tuple[SX, SX]:
+    cost = {space: (ca.SX(0), ca.SX.zeros(space.n)) for space in model.spaces}
+    for item in tasks:
+        objective = item.written.objective
+        if isinstance(objective, ForceObjective) and item.task.space:
+            cost[item.task.space] = (item.weight, objective.F_cmd)
+    H, g = [], [ca.SX(0, 1)]
+    for space, split in model.splits.items():
+        weight, F_cmd = cost[space]
+        H.append(weight * split.S)
+        g.append(-weight * (split.A @ model.spaces[space].Lambda_inv @ F_cmd))
+    return ca.diagcat(*H), ca.vertcat(*g)
 
 
 def _inertia(terms: SpaceTerms, weight: SX) -> SX:
@@ -39,11 +76,10 @@ def _inertia(terms: SpaceTerms, weight: SX) -> SX:
     return product
 
 
-def grasp_costs(model: ModeModel) -> tuple[SX, SX]:
-    """Return what grasps add to H_lam (k×k) and g_lam (k)."""
+def _grasp_costs(model: ModeModel, tasks: Sequence[WrittenTask]) -> tuple[SX, SX]:
     k = sum(split.k for split in model.splits.values())
     H, g = ca.SX(k, k), ca.SX(k, 1)
-    for item in model.tasks:
+    for item in tasks:
         objective = item.written.objective
         if isinstance(objective, GraspObjective):
             E = grasp_map(model, objective)

@@ -7,9 +7,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from qpctrl.arrays import Array, Vector
+from qpctrl.certificate import KKT_TOLERANCE
 from qpctrl.compiled import CompileMode, compiled
 from qpctrl.errors import InputError, unknown_name
 from qpctrl.law import Law
+from qpctrl.limit import UNBOUNDED
 from qpctrl.memory import Measurement, Memory, remember
 from qpctrl.native_step import QuickStep, quick_step
 from qpctrl.native_tick import NativeTick, native_library
@@ -19,7 +21,7 @@ from qpctrl.python_tick import PythonTick
 from qpctrl.rank import dependent_contacts, dependent_rows
 from qpctrl.report import Command, ReportFormat, TickReport
 from qpctrl.robot import Robot
-from qpctrl.solver import ActiveSet, Solver
+from qpctrl.solver import ActiveSet, QpData, QpSolvers, Solver
 from qpctrl.status import BY_CODE, LIMITED, Status
 from qpctrl.tick import Tick
 
@@ -60,7 +62,7 @@ class Engine:
         self.tick = tick
         self._solver, self._dt = solver, dt
         functions = build_functions(robot, self.tick)
-        if isinstance(solver, ActiveSet):
+        if isinstance(solver, ActiveSet) and not tick.upper_levels:
             self.parts = TickParts(robot, self.tick, functions)
             library, self.note = native_library(functions, compile)
         else:
@@ -87,6 +89,7 @@ class Engine:
         self._u = parts.inputs["u"]
         self._q, self._v = _quick(parts.inputs["q"]), _quick(parts.inputs["v"])
         self._last, self._clock = _quick(parts.last), _quick(parts.clock)
+        self._floats = robot.floats
         self._nu, self._remembered = robot.nu, len(parts.last)
         self._sizes = robot.nu, robot.nq, self.tick.memory.size
         self.inputs = parts.u
@@ -122,7 +125,7 @@ class Engine:
         Raises:
             InputError: a motion task has no reference.
         """
-        for task, _ in self.tick.mode.tasks:
+        for task, _, _ in self.tick.mode.tasks:
             if task.needs_reference and task.name not in references:
                 raise InputError(
                     f"mode {self.tick.mode.name!r} is entered without a reference for task "
@@ -174,11 +177,38 @@ class Engine:
         The limit on its rate is around the torque that holds without limits.
         """
         hold = self.parts.fallback
+        if self._floats and self._has_rows and (carried := self._carried_torque(q)) is not None:
+            return carried
         hold.inputs["q"][:], hold.inputs["v"][:] = q, 0.0
         hold()
         self.inputs["limits.tau_last"][:] = hold.outputs["held"]
         hold()
         return hold.outputs["tau"].copy()
+
+    def _carried_torque(self, q: Vector) -> Vector | None:
+        """Return the torque (nu) [Nm] that holds up a floating robot in ``q`` (nq), if one does.
+
+        Of all multipliers with which nothing accelerates and every limit holds, those of least
+        size; limits on the rate of the torque do not count where nothing was sent before.
+        """
+        parts, kept = self.parts, self._u.copy()
+        self._q[:], self._v[:] = q, np.zeros(len(self._v))
+        free = {"limits.tau_rate": UNBOUNDED / self._dt, "limits.tau_last": 0.0, "mu": 0.0}
+        for name, value in free.items():
+            self.inputs[name][...] = value
+        parts.tick()
+        self._u[:] = kept
+        (H, _, A, b, C, lb, ub), nv = parts.qp, len(self._v)
+        held = self.tick.mode_rows if self.tick.mode.slack is None else 0
+        n, rows = len(H) - nv, np.r_[: self._nu, self._nu + nv : len(lb)]  # none on a, which is 0
+        limits = C[rows, nv:], lb[rows], ub[rows]
+        least = QpData(np.eye(n), np.zeros(n), A[held:, nv:], b[held:], *limits)
+        found = QpSolvers("daqp").solve(least)
+        T, t = parts.torque_map
+        left = least.C @ found.x
+        size = KKT_TOLERANCE * max(1.0, float(np.abs(found.x).max()))
+        held_up = (left <= least.ub + size).all() and (left >= least.lb - size).all()
+        return T[:, nv:] @ found.x + t if held_up else None  # daqp may not see that none does
 
     def _refer(self, task: str, reference: Reference) -> None:
         """Write what a task shall follow into the buffers."""
@@ -221,7 +251,8 @@ class Engine:
         layout.view(numbers, "damping")[:] = parts.u["mu"]
         rows = status is Status.DEPENDENT_ROWS
         names = dependent_rows(self.tick, self.terms["row_pivots"]) if rows else ()
-        if status is Status.INACCURATE and self.tick.searched:
+        unsolved = (Status.INACCURATE, Status.INFEASIBLE)
+        if status in unsolved and self.tick.searched:
             names = dependent_contacts(self.tick, self.terms["A"])
             status = Status.DEPENDENT_ROWS if names else status
         tau, q = parts.named["tau"].copy(), parts.named["q"]

@@ -4,8 +4,8 @@
 body is held up by its contacts: τ = B⁺ (g(q) + Jᵀ Aᵀ λ − K_d v) with the least multipliers that
 carry the weight of what no torque drives. The fallback is sent whenever a tick
 has no solution of the demanded accuracy, and counted. A velocity that is not measured is taken
-from the last two configurations; where nothing new is known there is no damping, for acting on
-an old velocity would push.
+from the last two configurations, but for a robot that floats; where nothing new is known there is
+no damping, for acting on an old velocity would push.
 """
 
 import casadi as ca
@@ -38,6 +38,8 @@ def build_fallback(model: ModeModel) -> ca.Function:
     damping = HOLD_DAMPING * ca.diag(dynamics.M) * dynamics.v
     carried = model.AJ.T @ _least_multipliers(robot, gravity, model.AJ)
     held = ca.SX(np.linalg.pinv(robot.B)) @ (gravity + carried - damping)
+    last = limit.named(u)["tau_last"]  # a quaternion of zeros is finite, but no orientation
+    held = ca.if_else(ca.fabs(held) <= limit.UNBOUNDED, held, last)
     return ca.Function(
         "fallback",
         [dynamics.q, dynamics.v, u_vector],

@@ -6,7 +6,7 @@ from typing import Literal, get_args
 from qpctrl.constraint import Constraint
 from qpctrl.contact import WrenchLimit
 from qpctrl.errors import InputError, unknown_name
-from qpctrl.objective import Weighted
+from qpctrl.objective import GraspTask, Weighted
 
 Metric = Literal["inertia", "home"]
 
@@ -46,12 +46,26 @@ class Mode:
                     f"mode {self.name!r}: contact limit {limit.name!r} has no constraint on its "
                     "task space"
                 )
+        for task in (weighted.task for weighted in self.tasks):
+            for space in task.contacts if isinstance(task, GraspTask) else ():
+                if space not in held:
+                    raise InputError(
+                        f"mode {self.name!r}: task {task.name!r} has no constraint on its contact "
+                        f"{space.frame!r}"
+                    )
         if self.slack is not None and not self.constraints:
             raise InputError(f"mode {self.name!r}: slack needs a constraint that can give way")
-        for task, weight in self.tasks:
+        if self.slack is not None and len(self.priorities) > 1:
+            raise InputError(f"mode {self.name!r}: slack and priorities exclude each other")
+        for task, weight, _ in self.tasks:
             _check_weight(weight, f"weight of task {task.name!r}")
         if self.slack is not None:
             _check_weight(self.slack, f"slack of mode {self.name!r}")
+
+    @property
+    def priorities(self) -> tuple[int, ...]:
+        """Priorities of its tasks, the highest first: the smallest number."""
+        return tuple(sorted({weighted.priority for weighted in self.tasks}))
 
 
 def _check_weight(weight: float, name: str) -> None:

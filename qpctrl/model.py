@@ -44,10 +44,11 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, kw_only=True)
 class WrittenTask:
-    """A task with its weight and its expressions."""
+    """A task with its weight, its priority and its expressions."""
 
     task: Task
     weight: SX
+    priority: int
     written: TaskExpressions
 
 
@@ -78,8 +79,13 @@ class ModeModel:
         rows = (split.A @ self.spaces[space].J for space, split in self.splits.items())
         self.AJ = ca.vertcat(ca.SX(0, robot.nv), *rows)
         self.tasks = [
-            WrittenTask(task=task, weight=self.u[f"{task.name}.weight"], written=self._write(task))
-            for task, _ in mode.tasks
+            WrittenTask(
+                task=task,
+                weight=self.u[f"{task.name}.weight"],
+                priority=priority,
+                written=self._write(task),
+            )
+            for task, _, priority in mode.tasks
         ]
         self._check_forces()
         self.h = self.dynamics.h
@@ -202,8 +208,8 @@ def _inertia_of_joints(robot: Robot, dynamics: Dynamics) -> SX:
 
 
 def _spaces(mode: Mode) -> tuple[TaskSpace, ...]:
-    spaces = [task.space for task, _ in mode.tasks if task.space is not None]
-    for task, _ in mode.tasks:
+    spaces = [task.space for task, _, _ in mode.tasks if task.space is not None]
+    for task, _, _ in mode.tasks:
         spaces += task.contacts if isinstance(task, GraspTask) else ()
     spaces += [constraint.space for constraint in mode.constraints]
     return tuple(dict.fromkeys(spaces))
@@ -212,7 +218,7 @@ def _spaces(mode: Mode) -> tuple[TaskSpace, ...]:
 def _input_defaults(robot: Robot, mode: Mode) -> dict[str, Array]:
     defaults = {"dt": np.array(1e-3), "freeze": np.array(0.0), "mu": np.array(0.0)}
     defaults |= {f"limits.{key}": value for key, value in limit.inputs(robot).items()}
-    for task, weight in mode.tasks:
+    for task, weight, _ in mode.tasks:
         defaults[f"{task.name}.weight"] = np.array(weight)
         defaults |= {f"{task.name}.{key}": value for key, value in task.inputs().items()}
     if mode.slack is not None:
@@ -227,7 +233,7 @@ def _input_defaults(robot: Robot, mode: Mode) -> dict[str, Array]:
 def _memory_defaults(mode: Mode) -> dict[str, Array]:
     return {
         f"{task.name}.{key}": value
-        for task, _ in mode.tasks
+        for task, _, _ in mode.tasks
         for key, value in task.memory().items()
     }
 

@@ -141,4 +141,7 @@ class Weighted(NamedTuple):
 
     task: Task
     weight: float = 1.0
-    """Who gives way when a limit binds; without an active limit it changes nothing."""
+    """Who gives way when a limit binds, among tasks of one priority; without an active limit it
+    changes nothing where costs are orthogonal."""
+    priority: int = 0
+    """A task never disturbs one with a smaller number, limits included."""

@@ -55,6 +55,7 @@ class TickParts:
         qp: the QP among them.
         whole_point, point: solution (x, y, z) of the QP in one array, and its three parts.
         searched: whether the minimiser without inequalities is to be found, see `Tick.searched`.
+        upper_levels: how many priorities there are above the lowest.
         layout, numbers: all that the tick leaves behind, in one vector (`qpctrl.outcome`).
         named: its parts by name.
         u: the named inputs among the argument u.
@@ -69,6 +70,7 @@ class TickParts:
             made: what `build_functions` returns, as it is or compiled.
         """
         self.searched = tick.searched
+        self.upper_levels = tick.upper_levels
         self.layout = outcome_layout(robot, tick)
         self.numbers = self.layout.vector()
         self.named = self.layout.views(self.numbers)
@@ -76,7 +78,7 @@ class TickParts:
         self.clock, self.last = np.zeros(3), np.zeros(robot.nu + robot.nq + tick.memory.size)
         self.tau_last, self.q_last, x_last = np.split(self.last, [robot.nu, robot.nu + robot.nq])
         shared = {key: self.named[key] for key in kept} | {"x": x_last}
-        self.tick = Evaluator(made["tick"], shared, MATRICES)
+        self.tick = Evaluator(made["tick"], shared, tick.matrices)
         self.inputs, self.terms = self.tick.inputs, self.tick.outputs
         self.u = tick.inputs.views(self.inputs["u"])
         self.qp = QpData(*(self.terms[name] for name in QpData._fields))
@@ -86,6 +88,8 @@ class TickParts:
         self.point = x, y, z
         judged = {**self.named, **self.inputs, **self.terms, "tau": self.named["tau_qp"]}
         judged |= {"x": x, "y": y, "z": z}
+        if tick.searched:  # the graph does not know what would be without limits
+            judged["x_law"] = self.terms["x_eq"]
         self.certificate = Evaluator(made["certificate"], judged)
         self.explanation = Evaluator(made["explanation"], judged, MATRICES)
         sent = {"u": self.inputs["u"]}

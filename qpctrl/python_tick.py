@@ -6,9 +6,11 @@ from functools import partial
 
 import numpy as np
 
+from qpctrl.arrays import Vector
 from qpctrl.law import Law
 from qpctrl.parts import TickParts
 from qpctrl.polish import Polish, active_set
+from qpctrl.ranked_tick import RankedTick
 from qpctrl.report import ACTIVE_DUAL
 from qpctrl.solver import ActiveSet, QpData, Solution, Solver
 from qpctrl.status import BY_CODE, LIMITED, Status
@@ -33,6 +35,7 @@ class PythonTick:
         self._parts, self._solver, self._law, self._tolerance = parts, solver, law, tolerance
         self._polish = Polish(*(len(values) for values in parts.point))
         self._torque_map = parts.torque_map
+        self._ranked = RankedTick(parts, solver) if parts.upper_levels else None
         self._starts_free = isinstance(solver, ActiveSet)
         self._is_free = False  # whether it is the minimiser without inequalities, seen at once
         self._none = np.zeros(len(parts.point[2]))
@@ -51,7 +54,11 @@ class PythonTick:
         self._evaluate()
         if parts.terms["dependent"][0]:
             return DEPENDENT_ROWS
+        if self._ranked is not None:
+            return self._solve_ranked(self._ranked)
         free = self._free()
+        if parts.searched and not np.isfinite(free.x).all():
+            return INACCURATE  # as in C, which finds no unique minimiser
         self._is_free = self._starts_free and self._residual(free) <= WELL_POLISHED
         if self._is_free:
             return self._note(free)
@@ -97,6 +104,19 @@ class PythonTick:
             parts.u["mu"][...] = damping
             parts.tick()
 
+    def _solve_ranked(self, ranked: RankedTick) -> int:
+        """Solve level after level; the residual is the largest of all levels."""
+        parts = self._parts
+        rough, kkt, self._is_free = ranked.solve()
+        self._show_law(parts.terms["x_eq"])
+        if not rough.feasible:
+            return INFEASIBLE
+        if not max(self._residual(rough), kkt) <= self._tolerance:
+            return INACCURATE
+        parts.named["kkt"][0] = max(parts.named["kkt"][0], kkt)
+        parts.point[2][:] = ranked.pressing  # judged; what binds is told by all levels
+        return self._note(rough)
+
     def _free(self) -> Solution:
         """Return the minimiser without inequalities: that of the graph, or found here."""
         parts, terms = self._parts, self._parts.terms
@@ -104,9 +124,13 @@ class PythonTick:
             return Solution(terms["x_eq"], terms["y_eq"], self._none)
         free = self._polish.without_inequalities(parts.qp)
         terms["x_eq"][:], terms["y_eq"][:] = free.x, free.y
-        T, t = self._torque_map
-        parts.named["tau_hybrid"][:] = parts.named["tau_textbook"][:] = T @ free.x + t
+        self._show_law(free.x)
         return free
+
+    def _show_law(self, x: Vector) -> None:
+        """Write the torque of a comparator that was searched for."""
+        T, t = self._torque_map
+        self._parts.named["tau_hybrid"][:] = self._parts.named["tau_textbook"][:] = T @ x + t
 
     def _polished(self, rough: Solution, free: Solution) -> float:
         """Put the polished solution into the buffers, or the solver's own if that is better.

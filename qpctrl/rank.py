@@ -12,7 +12,7 @@ from qpctrl.errors import InputError, unknown_name
 from qpctrl.evaluator import Evaluator
 from qpctrl.mode import Mode
 from qpctrl.robot import Robot
-from qpctrl.tick import MATRICES, PIVOT_RATIO, Tick, build_tick
+from qpctrl.tick import PIVOT_RATIO, Tick, build_tick
 
 DependentRows = Literal["refuse", "drop"]
 
@@ -58,7 +58,7 @@ def usable_tick(robot: Robot, mode: Mode, treatment: DependentRows, form: str) -
 
 
 def _check_determined(robot: Robot, tick: Tick, terms: dict[str, Array]) -> None:
-    H = terms["H"]
+    H = terms["H"] + sum(terms[f"H_{i}"] for i in range(tick.upper_levels))
     if tick.searched:  # H may be flat where the equalities leave no choice
         Z = null_space(terms["A"])
         H = Z.T @ H @ Z
@@ -107,7 +107,7 @@ def dependent_contacts(tick: Tick, A: Matrix) -> tuple[str, ...]:
 
 def _at_home(robot: Robot, tick: Tick) -> dict[str, Array]:
     """Return the outputs of a tick at home, damped, so that a singular home is no matter."""
-    evaluate = Evaluator(tick.function, matrices=MATRICES)
+    evaluate = Evaluator(tick.function, matrices=tick.matrices)
     evaluate.inputs["q"][:] = robot.home
     evaluate.inputs["u"][:] = tick.inputs.vector()
     u = tick.inputs.views(evaluate.inputs["u"])

@@ -20,6 +20,9 @@ from qpctrl.spatial import AXES, SX, SymbolicPose
 LEAST_MOBILITY = 1e-6
 """Smallest eigenvalue of a constant metric over its largest."""
 
+IMMOBILE = 1e-12
+"""Largest mobility [1/kg, 1/(kg m²)] up to which a frame counts as fixed."""
+
 
 @dataclass(frozen=True)
 class TaskSpace:
@@ -40,6 +43,8 @@ class TaskSpace:
                 raise unknown_name("axis", axis, AXES)
         if not self.axes or len(set(self.axes)) < len(self.axes):
             raise InputError(f"axes: got {self.axes}, need one or more different ones of {AXES}")
+        if self.frame == self.relative_to:
+            raise InputError(f"task space: got frame {self.frame!r} seen from itself, need another")
 
     @property
     def n(self) -> int:
@@ -137,6 +142,9 @@ def mobility_at_home(
 
     No eigenvalue is below `LEAST_MOBILITY` of the largest: a home that is singular still gives a
     metric.
+
+    Raises:
+        InputError: a frame is fixed to what it is seen from.
     """
     spaces = tuple(spaces)
     rows = [_kinematics(space, dynamics)[1][space.index, :] for space in spaces]
@@ -145,6 +153,9 @@ def mobility_at_home(
     mobility = {}
     for space, J in zip(spaces, found, strict=True):
         values, vectors = np.linalg.eigh(J @ np.linalg.solve(M, J.T))
+        if not values[-1] > IMMOBILE:
+            seen = f" seen from {space.relative_to!r}" if space.relative_to else ""
+            raise InputError(f"task space: frame {space.frame!r} does not move{seen}")
         kept = np.maximum(values, LEAST_MOBILITY * values[-1])
         mobility[space] = (vectors * kept) @ vectors.T
     return mobility

@@ -12,11 +12,12 @@ import numpy as np
 from qpctrl import limit
 from qpctrl.contact import WrenchRows
 from qpctrl.contact_report import ContactPlace, contact_places
-from qpctrl.costs import costs_in_a, grasp_costs
+from qpctrl.costs import costs_of
 from qpctrl.errors import InputError
 from qpctrl.gives import Give, what_tasks_get
 from qpctrl.law import LawTerms, LawTorque, closed_forms
 from qpctrl.layout import Layout
+from qpctrl.levels import level_outputs, levels_of
 from qpctrl.mode import Mode
 from qpctrl.model import ModeModel
 from qpctrl.objective import (
@@ -40,7 +41,7 @@ PIVOT_RATIO = 1e-10
 
 
 MATRICES = ("H", "A", "C", "G")
-"""Outputs of a tick that are matrices, also for a robot with a single joint."""
+"""Outputs of every tick that are matrices, also for a robot with a single joint."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -66,9 +67,18 @@ class Tick:
     """Whether closed forms exist: one task space, one motion task, B = I."""
     contacts: tuple[ContactPlace, ...]
     """What a report says about contacts."""
+    upper_levels: int
+    """Number of priorities above the lowest, whose cost H and g are; those of level i are H_i, g_i,
+    and G_i are the rows of what its tasks get."""
     searched: bool
     """Whether the minimiser without inequalities is found by whoever solves the QP; its outputs
     here, the torques of the laws among them, are zeros then."""
+
+    @property
+    def matrices(self) -> tuple[str, ...]:
+        """Outputs that are matrices, also where they have a single column."""
+        upper = range(self.upper_levels)
+        return *MATRICES, *(f"{name}_{i}" for i in upper for name in ("H", "G"))
 
 
 def build_tick(robot: Robot, mode: Mode, form: str = "reduced") -> Tick:
@@ -97,6 +107,7 @@ def build_tick(robot: Robot, mode: Mode, form: str = "reduced") -> Tick:
         **qp._asdict(),
         **_law_outputs(law, form, qp),
         "G": G,
+        **level_outputs(model, form, G, gives),
         **_space_outputs(model),
         "memory": model.memory_after(),
         "signals": _stack(ca.vec(ca.densify(value)) for value in signals.values()),
@@ -124,26 +135,19 @@ def build_tick(robot: Robot, mode: Mode, form: str = "reduced") -> Tick:
         | {name: getattr(qp, name).sparsity() for name in ("H", "A", "C")},
         has_law=law is not None,
         contacts=contact_places(model),
+        upper_levels=len(model.mode.priorities) - 1,
         searched=terms.searched,
     )
 
 
 def _qp_terms(model: ModeModel) -> QpTerms:
     u = model.u
-    H_a, g_a = costs_in_a(model)
-    force_cost = {space: (ca.SX(0), ca.SX.zeros(space.n)) for space in model.spaces}
-    for item in model.tasks:
-        objective = item.written.objective
-        if isinstance(objective, ForceObjective) and item.task.space:
-            force_cost[item.task.space] = (item.weight, objective.F_cmd)
-    H_lam, g_lam, b_c = [], [ca.SX(0, 1)], [ca.SX(0, 1)]
+    *_, lowest = levels_of(model)
     contact = [model.contact_rows(space) for space in model.spaces]
-    for space, split in model.splits.items():
-        weight, F_cmd = force_cost[space]
-        terms = model.spaces[space]
-        H_lam.append(weight * split.S)
-        g_lam.append(-weight * (split.A @ terms.Lambda_inv @ F_cmd))
-        b_c.append(split.v_c_dot - split.A_dot_V - split.A @ terms.J_dot_v)
+    b_c = [
+        split.v_c_dot - split.A_dot_V - split.A @ model.spaces[space].J_dot_v
+        for space, split in model.splits.items()
+    ]
     constraints = [
         constraint
         for space in model.spaces
@@ -151,18 +155,14 @@ def _qp_terms(model: ModeModel) -> QpTerms:
         if constraint.space == space
     ]
     limits = limit.named(u)
-    H_grasp, g_grasp = grasp_costs(model)
     return QpTerms(
-        H_a=H_a,
-        g_a=g_a,
-        H_lam=ca.diagcat(*H_lam) + H_grasp,
-        g_lam=ca.vertcat(*g_lam) + g_grasp,
+        **costs_of(model, lowest)._asdict(),
         M=model.dynamics.M,
         h=model.h,
         AJ=model.AJ,
-        b_c=ca.vertcat(*b_c),
+        b_c=_stack(b_c),
         slack=model.mode.slack is not None,
-        searched=model.mode.metric == "home",
+        searched=model.mode.metric == "home" or len(model.mode.priorities) > 1,
         B=model.robot.B,
         torque=limit.torque_bounds(
             limits, u["dt"], limit.actuator_speed(model.robot, model.dynamics.v)
@@ -190,9 +190,11 @@ def _qp_terms(model: ModeModel) -> QpTerms:
 def _law(model: ModeModel) -> LawTorque | None:
     motions, forces = model.of(MotionObjective), model.of(ForceObjective)
     postures = model.of(PostureObjective)
+    levels = len(model.mode.priorities)
     square = np.array_equal(model.robot.B, np.eye(model.robot.nv))
     if (
         model.mode.metric != "inertia"
+        or levels > 1
         or not square
         or len(model.spaces) != 1
         or len(motions) != 1

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 from qpctrl.errors import InputError, unknown_name
 from scenarios.admittance import Admittance
+from scenarios.bimanual import Bimanual
 from scenarios.conveyor import Conveyor
 from scenarios.crank import Crank
 from scenarios.door import Door
@@ -13,7 +14,9 @@ from scenarios.eraser import Eraser
 from scenarios.force_loop import ForceLoop
 from scenarios.gap import Gap
 from scenarios.haptic import Haptic
+from scenarios.humanoid_wipe import HumanoidWipe
 from scenarios.impedance import Impedance
+from scenarios.mobile_eraser import MobileEraser
 from scenarios.press import Press
 from scenarios.scenario import Scenario
 from scenarios.sphere import Sphere
@@ -26,6 +29,7 @@ SCENARIOS: dict[str, type[Scenario]] = {
     for kind in (
         *(Eraser, Gap, Edge, Conveyor, Sphere, Door, Drawer, Crank, Valve, Press, ForceLoop),
         *(Haptic, Impedance, VirtualWall, Admittance, StiffWall),
+        *(MobileEraser, Bimanual, HumanoidWipe),
     )
 }
 """Scenario classes by the name that the command line uses."""

@@ -11,12 +11,15 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
+from qpctrl.errors import InputError
 from scenarios.catalogue import SCENARIOS, scenario_named
 from scenarios.command import interactive, merged, parse
 from scenarios.console import console
 from scenarios.report import label
 from scenarios.run import run_scenario
 from scenarios.scenario import Options, Outcome, Scenario
+from scenarios.video import check_video
+from scenarios.video_run import Filmed, film_run
 
 USAGE = f"""usage: qpctrl run SCENARIO [--help]
 
@@ -33,6 +36,8 @@ class Running:
 
     out: Path | None = None
     """Folder for the results; default runs/SCENARIO."""
+    video: Path | None = None
+    """File for moving pictures of the run: .gif, .webp, .png, .mp4 or .webm."""
     json: bool = False
     """Print the summary as JSON."""
 
@@ -55,6 +60,8 @@ def run_command(arguments: list[str]) -> bool:
         description=f"{kind.__doc__}\n\nExample: qpctrl run {name} --out runs/{name}",
     )
     folder = given.out or Path("runs") / name
+    if given.video is not None:
+        _check_film(name, given.scenario, given.video)
     outcome = _watched_run(given.scenario, given.run, folder)
     if why := outcome.experiment.controller.interpreted:
         print(f"qpctrl: ticks are {why}", file=sys.stderr)
@@ -62,6 +69,8 @@ def run_command(arguments: list[str]) -> bool:
         print(json.dumps(outcome.summary, indent=2, ensure_ascii=False))
     else:
         _print_outcome(outcome, folder)
+    if given.video is not None:
+        _watched_film(given.scenario, outcome, given.video)
     return outcome.passed
 
 
@@ -75,6 +84,27 @@ def _watched_run(scenario: Scenario, options: Options, out: Path) -> Outcome:
             progress.update(task, description=f"{scenario.name}: {phase}, {time:.1f} s simulated")
 
         return run_scenario(scenario, options, out=out, watch=watch)
+
+
+def _check_film(name: str, scenario: Scenario, file: Path) -> None:
+    if not isinstance(scenario, Filmed):
+        filmed = ", ".join(name for name, kind in SCENARIOS.items() if issubclass(kind, Filmed))
+        raise InputError(f"video: got scenario {name!r}, need one with a scene: {filmed}")
+    check_video(file)
+
+
+def _watched_film(scenario: Filmed, outcome: Outcome, file: Path) -> None:
+    scene, robot, table = scenario.scene(outcome), outcome.experiment.robot, outcome.table
+    if not interactive():
+        film_run(file, scene, robot, table)
+        return
+    with Progress(console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task("video", total=None)
+
+        def watch(picture: int) -> None:
+            progress.update(task, description=f"video: picture {picture}")
+
+        film_run(file, scene, robot, table, watch=watch)
 
 
 def _print_outcome(outcome: Outcome, folder: Path) -> None:

@@ -34,6 +34,8 @@ from scenarios.tipping import (
     TippingGuide,
     TippingPlan,
 )
+from scenarios.torque_step import torque_steps
+from scenarios.video_run import Scene, board_view
 from scenarios.world import EDGE, Pad, World, build_world
 from tasks import ForceTask, MotionTask, PostureTask
 
@@ -84,7 +86,7 @@ class Edge:
 
     def prepare(self, options: Options) -> Experiment:
         """Return the experiment, ready to run."""
-        world = build_world(self.robot, clearance=CLEARANCE, pad=Pad(friction=self.friction), dt=DT)
+        world = self._world()
         joints = options.joints(world.robot, DT)
         robot = joints.robot
         plan = TippingPlan(
@@ -106,12 +108,16 @@ class Edge:
             geometry={"X_WE": world.X_WE.homogeneous},
         )
 
+    def _world(self) -> World:
+        pad = Pad(friction=self.friction)
+        return build_world(self.robot, clearance=CLEARANCE, pad=pad, dt=DT)
+
     def metrics(self, table: pl.DataFrame) -> dict[str, float]:
         """Return the metrics of a run: forces on the edge, the rest from touch to end."""
         if not (table["phase"] == "spread").any():
             unknown = dict.fromkeys(LIMITS, float("nan"))
             return unknown | tick_metrics(table) | whole_run_metrics(table)
-        seen, step = observe(table), torque_steps(table, self.robot)
+        seen, step = observe(table), torque_steps(table, load_robot(self.robot))
         phase, mode = table["phase"].to_numpy(), table["mode"].to_numpy()
         time, touching = column(table, "time"), table["touching"].to_numpy()
         pressed = phase != "touch"
@@ -140,6 +146,12 @@ class Edge:
             Criterion(name, metrics[name], limit, unit) for name, (limit, unit) in LIMITS.items()
         )
 
+    def scene(self, outcome: Outcome) -> Scene:
+        """Return robot and board."""
+        world = self._world()
+        view = board_view(world.X_WE)
+        return Scene(model=world.model, view=view, forces={"wrench_meas": EDGE})
+
     def panels(self, outcome: Outcome) -> tuple[Panel, ...]:
         """Return the tip angle, the centre of pressure, forces and the steps of torque."""
         table = outcome.table
@@ -154,7 +166,7 @@ class Edge:
         ]
         edge = np.full(len(table), 1e3 * HALF_WIDTH)
         centres = [Curve("measured", 1e3 * seen.centre), Curve("edge", edge, dashed=True)]
-        steps = np.concatenate([np.zeros(1), torque_steps(table, self.robot)])
+        steps = np.concatenate([np.zeros(1), torque_steps(table, load_robot(self.robot))])
         return (
             Panel(
                 "tilt",
@@ -229,14 +241,6 @@ def observe(table: pl.DataFrame) -> Observed:
         normal_force=(R_EF[:, 2] * force).sum(axis=1),
         centre=HALF_WIDTH + column(table, "wrench_meas.mx") / pressed,
     )
-
-
-def torque_steps(table: pl.DataFrame, robot: str) -> Vector:
-    """Return the largest change of torque (ticks − 1) from tick to tick, over its limit."""
-    limits = load_robot(robot).limits
-    names = [name for name in table.columns if name.startswith("tau.")]
-    tau = np.stack([column(table, name) for name in names], axis=1)
-    return (np.abs(np.diff(tau, axis=0)) / (limits.tau_rate * DT)).max(axis=1)
 
 
 def _set_force(table: pl.DataFrame) -> Vector:

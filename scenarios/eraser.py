@@ -25,6 +25,7 @@ from scenarios.plant_mujoco import MujocoPlant
 from scenarios.plant_rigid import RigidPlant
 from scenarios.report_energy import energy_panel
 from scenarios.scenario import Criterion, Experiment, Options, Outcome
+from scenarios.video_run import Scene, board_view
 from scenarios.wiping import WipingGuide, WipingPlan
 from scenarios.world import TOOL, Pad, World, build_world
 from tasks import EnergyTask, ForceTask, MotionTask, PostureTask
@@ -84,9 +85,7 @@ class Eraser:
 
     def prepare(self, options: Options) -> Experiment:
         """Return the experiment, ready to run."""
-        world = build_world(
-            self.robot, tool=self.tool, home=self.home, pad=Pad(friction=self.friction), dt=DT
-        )
+        world = self._world()
         joints = options.joints(world.robot, DT)
         robot, rigid = joints.robot, self.plant == "rigid"
         plan = WipingPlan(
@@ -109,6 +108,10 @@ class Eraser:
             horizon=plan.longest,
             geometry={"X_WE": world.X_WE.homogeneous, "loops": plan.loops.p},
         )
+
+    def _world(self) -> World:
+        pad = Pad(friction=self.friction)
+        return build_world(self.robot, tool=self.tool, home=self.home, pad=pad, dt=DT)
 
     def modes(self, world: World) -> tuple[Mode, ...]:
         """Return the modes ``free`` and ``contact`` of the controller."""
@@ -143,6 +146,12 @@ class Eraser:
             ("qp_law_gap_max", 1e-8, "× max |τ|"),
         ]
         return tuple(Criterion(name, metrics[name], limit, unit) for name, limit, unit in limits)
+
+    def scene(self, outcome: Outcome) -> Scene:
+        """Return robot and board."""
+        world = self._world()
+        view = board_view(world.X_WE)
+        return Scene(model=world.model, view=view, forces={"wrench_meas": TOOL})
 
     def panels(self, outcome: Outcome) -> tuple[Panel, ...]:
         """Return path, position error and force on the board, and the energy given to it."""

@@ -18,7 +18,7 @@ import numpy as np
 import pinocchio as pin
 import polars as pl
 
-from qpctrl.arrays import positive
+from qpctrl.arrays import Array, positive
 from qpctrl.errors import InputError
 from qpctrl.robot import Robot
 from scenarios.eraser import DT, Eraser
@@ -37,6 +37,7 @@ from scenarios.plant_mujoco import MujocoPlant
 from scenarios.report_energy import energy_panel
 from scenarios.report_trace import Curve, curve_figure
 from scenarios.scenario import Criterion, Experiment, Options, Outcome
+from scenarios.video_run import Scene, board_view
 from scenarios.wiping import (
     PRESS_TIME,
     SEARCH_DEPTH,
@@ -144,8 +145,7 @@ class Gap:
             InputError: the set force accelerates the tool beyond the speed of the search before
                 any loss can be noticed.
         """
-        pad = Pad(friction=self.friction)
-        world = build_world(self.robot, tool=self.tool, home=self.home, pad=pad, dt=DT)
+        world = self._world()
         joints = options.joints(world.robot, DT)
         robot, plan = joints.robot, self._plan(world, joints.robot)
         board = MujocoPlant(
@@ -170,6 +170,10 @@ class Gap:
             horizon=plan.longest,
             geometry={"X_WE": world.X_WE.homogeneous, "loops": plan.loops.p},
         )
+
+    def _world(self) -> World:
+        pad = Pad(friction=self.friction)
+        return build_world(self.robot, tool=self.tool, home=self.home, pad=pad, dt=DT)
 
     def _plan(self, world: World, robot: Robot) -> WipingPlan:
         given = self.loss_time
@@ -205,6 +209,21 @@ class Gap:
             ("qp_law_gap_max", 1e-8, "× max |τ|"),
         ]
         return tuple(Criterion(name, metrics[name], limit, unit) for name, limit, unit in limits)
+
+    def scene(self, outcome: Outcome) -> Scene:
+        """Return the robot and the board, which falls when the tool loses it."""
+        world = self._world()
+        events = loss_events(outcome.table.filter(pl.col("phase") == "wipe"))
+        falls_at = np.inf if events is None else events.gone
+
+        def places(table: pl.DataFrame) -> dict[str, Array]:
+            X_WB = np.tile(world.X_WE.homogeneous, (len(table), 1, 1))
+            fallen = column(table, "time") >= falls_at
+            X_WB[fallen, :3, 3] += self.depth * world.X_WE.rotation[:, 2]
+            return {"qpctrl/board": X_WB}
+
+        view, forces = board_view(world.X_WE), {"wrench_meas": TOOL}
+        return Scene(model=world.model, view=view, forces=forces, places=places)
 
     def panels(self, outcome: Outcome) -> tuple[Panel, ...]:
         """Return loss and regain from near, the whole run on the board, and the energy."""

@@ -1,5 +1,6 @@
 """Paths on a plane, travelled at constant speed with smooth starts and stops; laid out ahead."""
 
+from collections.abc import Callable
 from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
@@ -7,6 +8,9 @@ import pinocchio as pin
 
 from qpctrl.arrays import Array, Matrix, Vector
 from tasks import MotionReference
+
+RAMP = 0.5
+"""Longest time [s] in which a path gathers speed, and loses it."""
 
 
 class PlanarMotion(NamedTuple):
@@ -37,30 +41,80 @@ def wiping_loops(
         radius: radius r of a circle [m].
         sway: largest distance w of its centre from the middle [m].
     """
-    time = np.arange(round(duration / dt) + 1) * dt
-    s, s_dot = _trapezoid(time, speed, min(0.5, duration / 4))
     nu = radius / (2 * np.pi * sway)
+
+    def place(u: Vector) -> Matrix:
+        return np.stack([radius * np.cos(u), radius * np.sin(u) - sway * np.cos(nu * u)], axis=-1)
 
     def slope(u: Vector) -> Matrix:
         return np.stack(
             [-radius * np.sin(u), radius * np.cos(u) + sway * nu * np.sin(nu * u)], axis=-1
         )
 
-    travelled = np.concatenate([[0.0], np.cumsum((s[1:] + s[:-1]) / 2 * dt)])
-    turns = 1.3 * travelled[-1] / (2 * np.pi * radius) + 1
+    def bend(u: Vector) -> Matrix:
+        return np.stack(
+            [-radius * np.cos(u), -radius * np.sin(u) + sway * nu**2 * np.cos(nu * u)], axis=-1
+        )
+
+    return _travel(_Curve(place, slope, bend, radius), ramped(speed, duration, dt))
+
+
+def advancing_loops(
+    speed: float, length: float, dt: float, *, radius: float = 0.08, pitch: float = 0.2
+) -> PlanarMotion:
+    """Return circles that advance along −y, as a hand wipes a long board.
+
+    c(u) = (r cos u, r sin u − p u / 2π), travelled as `wiping_loops` are; at the end their centre
+    has advanced by ``length``.
+
+    Args:
+        speed: speed along the path [m/s].
+        length: way of the centre [m].
+        dt: sampling period [s].
+        radius: radius r of a circle [m].
+        pitch: way p of the centre in one turn [m].
+    """
+    drift, turns = pitch / (2 * np.pi), length / pitch
+
+    def place(u: Vector) -> Matrix:
+        return np.stack([radius * np.cos(u), radius * np.sin(u) - drift * u], axis=-1)
+
+    def slope(u: Vector) -> Matrix:
+        return np.stack([-radius * np.sin(u), radius * np.cos(u) - drift], axis=-1)
+
+    def bend(u: Vector) -> Matrix:
+        return np.stack([-radius * np.cos(u), -radius * np.sin(u)], axis=-1)
+
+    u = np.linspace(0.0, 2 * np.pi * turns, round(20_000 * turns) + 2)
+    way = float(np.trapezoid(np.linalg.norm(slope(u), axis=-1), u))
+    travelled = ramped(speed, _ramped_duration(speed, way), dt)
+    return _travel(_Curve(place, slope, bend, radius), travelled)
+
+
+class _Curve(NamedTuple):
+    """A curve that goes in circles, and its derivatives, each a function of u (samples×2) [m]."""
+
+    place: Callable[[Vector], Matrix]
+    slope: Callable[[Vector], Matrix]
+    bend: Callable[[Vector], Matrix]
+    radius: float
+    """Radius of the circles [m]."""
+
+
+def _travel(curve: _Curve, along: "Glide[Vector]") -> PlanarMotion:
+    """Return a curve on which one moves ``along`` its length [m]: u̇ = s / |c′(u)|."""
+    travelled, s, s_dot = along
+    turns = 1.3 * travelled[-1] / (2 * np.pi * curve.radius) + 1
     fine = np.linspace(0.0, 2 * np.pi * turns, round(20_000 * turns))
-    rate = np.linalg.norm(slope(fine), axis=-1)
+    rate = np.linalg.norm(curve.slope(fine), axis=-1)
     length = np.concatenate([[0.0], np.cumsum((rate[1:] + rate[:-1]) / 2 * np.diff(fine))])
     u = np.interp(travelled, length, fine)
-    c1 = slope(u)
-    c2 = np.stack(
-        [-radius * np.cos(u), -radius * np.sin(u) + sway * nu**2 * np.cos(nu * u)], axis=-1
-    )
+    c1, c2 = curve.slope(u), curve.bend(u)
     norm = np.linalg.norm(c1, axis=-1)
     u_dot = s / norm
     u_ddot = s_dot / norm - s * u_dot * (c1 * c2).sum(-1) / norm**3
     return PlanarMotion(
-        p=np.stack([radius * np.cos(u), radius * np.sin(u) - sway * np.cos(nu * u)], axis=-1),
+        p=curve.place(u),
         v=c1 * u_dot[:, None],
         a=c2 * u_dot[:, None] ** 2 + c1 * u_ddot[:, None],
     )
@@ -95,10 +149,23 @@ def _quintic(x: Number, duration: float) -> Glide[Number]:
     )
 
 
-def _trapezoid(time: Vector, speed: float, ramp: float) -> tuple[Vector, Vector]:
-    """Return speed and acceleration that rise and fall as quintics."""
+def ramped(speed: float, duration: float, dt: float) -> Glide[Vector]:
+    """Return a way [m] from rest to rest at a constant speed [m/s], and its derivatives.
+
+    The speed rises and falls as quintics, each of half a second or a quarter of the duration.
+    """
+    time = np.arange(round(duration / dt) + 1) * dt
+    ramp = min(RAMP, duration / 4)
     rise, fall = glides(time, ramp), glides(time - (time[-1] - ramp), ramp)
-    return speed * (rise.s - fall.s), speed * (rise.s_dot - fall.s_dot)
+    s, s_dot = speed * (rise.s - fall.s), speed * (rise.s_dot - fall.s_dot)
+    way = np.concatenate([[0.0], np.cumsum((s[1:] + s[:-1]) / 2 * dt)])
+    return Glide(way, s, s_dot)
+
+
+def _ramped_duration(speed: float, way: float) -> float:
+    """Return the duration [s] for which `ramped` goes ``way`` [m]."""
+    full = way / speed + RAMP
+    return full if full >= 4 * RAMP else way / (0.75 * speed)
 
 
 class Track(NamedTuple):

@@ -61,13 +61,15 @@ class WipingPlan:
     search_speed: float | None = None
     """Speed [m/s] that the tool never exceeds when it feels for a lost board; default: that of
     the touch."""
+    path: PlanarMotion | None = None
+    """Where to wipe, of this speed and duration; default: `wiping_loops`."""
     loops: PlanarMotion = field(init=False)
     """Path on the board, in the x-y plane of E."""
     tracks: dict[str, Track] = field(init=False)
     """Motion of the tool in each phase, aligned with the board."""
 
     def __post_init__(self) -> None:
-        loops = wiping_loops(self.speed, self.duration, self.dt)
+        loops = self.path or wiping_loops(self.speed, self.duration, self.dt)
         if self.start_on_board:
             loops = loops._replace(p=loops.p - loops.p[0])
         object.__setattr__(self, "loops", loops)

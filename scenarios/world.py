@@ -97,7 +97,7 @@ def build_world(
     X_WE, pad = _board_pose(spec, robot, q_home, clearance), pad or Pad()
     X_WE_true = X_WE if board_error is None else X_WE * board_error
     _add_board(spec, X_WE_true, pad)
-    _add_sensors(spec)
+    add_sensors(spec)
     _add_surroundings(spec)
     spec.option.timestep = dt
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
@@ -193,7 +193,8 @@ def _add_board(spec: mujoco.MjSpec, X_WE: pin.SE3, pad: Pad) -> None:
     )
 
 
-def _add_sensors(spec: mujoco.MjSpec) -> None:
+def add_sensors(spec: mujoco.MjSpec) -> None:
+    """Add what the wrench on the eraser is measured with, in the frame `SENSOR`."""
     for name, kind in (
         ("force", mujoco.mjtSensor.mjSENS_FORCE),
         ("torque", mujoco.mjtSensor.mjSENS_TORQUE),

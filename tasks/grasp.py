@@ -1,8 +1,9 @@
 """Squeeze an object between two contacts with a set force.
 
-The wrenches F₁, F₂ of the contacts on the object, in its axes about the point midway between them,
-have a sum, which moves the object, and an internal part (F₁ − F₂)/2, which does not. Asked for is
-(F₁ − F₂)/2 = f_cmd (e, 0), with e the direction from contact 1 to contact 2:
+The wrenches F₁, F₂ of the contacts on the object, each in the object's axes about its own contact,
+give a total, which moves the object, and a rest that does not. Asked for is
+(F₁ − F₂)/2 = f_cmd (e, 0), with e the direction from contact 1 to contact 2; so hands share forces
+and moments alike, and a weight between them is carried by forces through the middle of the pads:
 
     f_cmd = f_des + K_fp (f_des − f_meas) + K_fi ∫(f_des − f_meas)
 
@@ -100,10 +101,10 @@ class GraspForceTask:
         integral = ca.fmin(ca.fmax(grown, -u["integral_max"]), u["integral_max"])
         f_cmd = f_des + u["K_fp"] * f_e + u["K_fi"] * integral
         one, other = (scene.motions[space].X_WF for space in self.contacts)  # seen from the object
-        way, middle = other.p - one.p, (one.p + other.p) / 2
+        way = other.p - one.p
         along = way / ca.sqrt(ca.sumsqr(way))
         E = {
-            space: side / 2 * _about(X, middle)
+            space: side / 2 * _turned(X)
             for space, X, side in zip(self.contacts, (one, other), (1.0, -1.0), strict=True)
         }
         F_cmd = ca.vertcat(f_cmd * along, ca.SX.zeros(3))
@@ -114,7 +115,6 @@ class GraspForceTask:
         )
 
 
-def _about(X_OF: SymbolicPose, point: SX) -> SX:
-    """Return the map (6×6) of a wrench in F to the axes of O, about a point (3) there."""
-    lever = ca.skew(X_OF.p - point) @ X_OF.R
-    return ca.vertcat(ca.horzcat(X_OF.R, ca.SX(3, 3)), ca.horzcat(lever, X_OF.R))
+def _turned(X_OF: SymbolicPose) -> SX:
+    """Return the map (6×6) of a wrench in F to the axes of O, about the same point."""
+    return ca.diagcat(X_OF.R, X_OF.R)

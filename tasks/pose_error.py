@@ -14,8 +14,9 @@ import numpy as np
 import pinocchio as pin
 
 from qpctrl.arrays import Array, Twist
+from qpctrl.errors import InputError
 from qpctrl.factor import Factor
-from qpctrl.space import FrameMotion, TaskSpace
+from qpctrl.space import CentroidalSpace, FrameMotion, TaskSpace
 from qpctrl.spatial import (
     SX,
     SymbolicPose,
@@ -97,7 +98,13 @@ class PoseError(NamedTuple):
 
 
 def pose_error(space: TaskSpace, motion: FrameMotion, u: Mapping[str, SX]) -> PoseError:
-    """Return the errors; a space without angular axes compares positions alone."""
+    """Return the errors; a space without angular axes compares positions alone.
+
+    Raises:
+        InputError: the space is that of the centre of mass, which has no pose.
+    """
+    if isinstance(space, CentroidalSpace):
+        raise InputError("a pose is that of a frame; for the centre of mass use CentreOfMassTask")
     X_WD = SymbolicPose(u["X_WD"][:, :3], u["X_WD"][:, 3])
     turning = ca.vertcat(1, 1, 1, *[float(space.turns)] * 3)
     V_des, V_dot_des = turning * u["V_des"], turning * u["V_dot_des"]

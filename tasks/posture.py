@@ -11,6 +11,7 @@ from typing import ClassVar, final
 import numpy as np
 
 from qpctrl.arrays import Array, Vector, finite_array, non_negative
+from qpctrl.errors import InputError
 from qpctrl.objective import PostureObjective, Scene, TaskExpressions
 from qpctrl.spatial import SX
 
@@ -79,7 +80,14 @@ class PostureTask:
     def objective(
         self, scene: Scene, u: Mapping[str, SX], memory: Mapping[str, SX]
     ) -> TaskExpressions:
-        """Return a_post at the configuration ``u``."""
+        """Return a_post at the configuration ``u``.
+
+        Raises:
+            InputError: the posture is that of a robot with another number of coordinates.
+        """
+        if u["q_ref"].shape != scene.q.shape:
+            got, need = (q.shape[0] for q in (u["q_ref"], scene.q))
+            raise InputError(f"{self.name}.q_ref: got {got} values, need {need}, the size of q")
         pull = scene.coordinates(u["K_p"] * (u["q_ref"] - scene.q))
         a_post = pull - scene.coordinates(u["K_d"]) * scene.v
         return TaskExpressions(objective=PostureObjective(a_post), memory={}, signals={})

@@ -10,7 +10,6 @@ from collections.abc import Mapping
 from html.parser import HTMLParser
 from typing import Any
 
-import mujoco
 import numpy as np
 import plotly.graph_objects as go
 import polars as pl
@@ -20,7 +19,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from qpctrl import InputError, Status
-from scenarios import report_figure, report_style, report_torque
+from scenarios import report_figure, report_style, report_torque, video_screen
 from scenarios.catalogue import SCENARIOS
 from scenarios.panel import board_panels
 from scenarios.picture import png, render_scene
@@ -446,7 +445,7 @@ def test_a_machine_without_opengl_is_told_what_to_do(monkeypatch: pytest.MonkeyP
     def fail(*_: object, **__: object) -> None:
         raise RuntimeError("no display")
 
-    monkeypatch.setattr(mujoco, "Renderer", fail)
+    monkeypatch.setattr(video_screen, "_context", fail)
     world = build_world("fr3")
     with pytest.raises(InputError, match="no display; set MUJOCO_GL=egl"):
         render_scene(world, world.robot.home)

@@ -8,7 +8,7 @@ import pinocchio as pin
 
 from qpctrl.arrays import Array, Rotation
 from qpctrl.errors import InputError
-from qpctrl.space import TaskSpace
+from qpctrl.space import CentroidalSpace, TaskSpace
 from qpctrl.spatial import AXES, SX, SymbolicPose, compose, inverse
 
 
@@ -16,8 +16,10 @@ def need_six_axes(space: TaskSpace, what: str) -> None:
     """Refuse a space that does not have all six axes.
 
     Raises:
-        InputError: axes are missing or in another order.
+        InputError: axes are missing or in another order, or it is that of the centre of mass.
     """
+    if isinstance(space, CentroidalSpace):
+        raise InputError(f"{what} needs the space of a frame, got that of the centre of mass")
     if space.axes != AXES:
         raise InputError(f"{what} needs the axes {' '.join(AXES)}, got {' '.join(space.axes)}")
 

@@ -5,6 +5,7 @@ from qpctrl.contact.friction_cone import FrictionCone
 from qpctrl.contact.life import Contact, ContactLife
 from qpctrl.contact.max_force import MaxForce
 from qpctrl.contact.phase import ContactPhase
+from qpctrl.contact.torsional_friction import TorsionalFriction
 from qpctrl.contact.wrench_limit import WrenchLimit, WrenchRows
 
 __all__ = [
@@ -14,6 +15,7 @@ __all__ = [
     "Footprint",
     "FrictionCone",
     "MaxForce",
+    "TorsionalFriction",
     "WrenchLimit",
     "WrenchRows",
 ]

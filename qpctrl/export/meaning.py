@@ -67,7 +67,7 @@ def meaning(name: str) -> str:
 def owners(mode: Mode) -> dict[str, str]:
     """Return, for each owner of inputs in a mode, what it is and in which axes it works."""
     found = {"": "loop", "limits": "limits of the robot, one number a joint or actuator"}
-    for task, _ in mode.tasks:
+    for task, _, _ in mode.tasks:
         found[task.name] = f"task {task.name}: {_axes(task.space)}"
     for constraint in mode.constraints:
         rows = ", ".join(constraint.row_names)
@@ -87,7 +87,7 @@ def demanded(mode: Mode) -> tuple[str, ...]:
     """
     return tuple(
         f"{task.name}.{key}"
-        for task, _ in mode.tasks
+        for task, _, _ in mode.tasks
         if task.needs_reference
         for key in task.inputs()
         if not hasattr(task, key)

@@ -44,6 +44,9 @@ def project_files(controller: Controller, name: str) -> dict[str, str]:
     """
     check_name(name)
     words, engines = Identifiers(), controller.engines
+    for mode, engine in engines.items():
+        if engine.tick.upper_levels:
+            raise InputError(f"mode {mode!r} has strict priorities, which C has no solver for")
     modes = [ModeCode(controller, mode, name, words.add(mode).lower()) for mode in engines]
     runtime = _runtime(name)
     places = _input_words(name, modes, runtime)
