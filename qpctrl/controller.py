@@ -11,6 +11,7 @@ from qpctrl.errors import InputError, unknown_name
 from qpctrl.law import Law
 from qpctrl.memory import Measurement, Memory, remember
 from qpctrl.mode import Mode
+from qpctrl.native_step import UNTRIED, dispatch
 from qpctrl.objective import Reference
 from qpctrl.qp import FORMS
 from qpctrl.rank import DependentRows, usable_tick
@@ -78,6 +79,10 @@ class Controller:
                     "task and every joint driven; use law 'qp' or 'hybrid'"
                 )
 
+        quick = {name: engine.quick for name, engine in self.engines.items() if engine.quick}
+        if quick:
+            vars(self)["step"] = dispatch(quick, self._finish)  # the method below, in C
+
     @property
     def interpreted(self) -> str:
         """Why ticks that were to be compiled are not, in one line; empty where they are."""
@@ -123,14 +128,20 @@ class Controller:
             InputError: unknown mode, task or input name, an array of the wrong shape, or no
                 reference where one is needed.
         """
-        engine = self.engines.get(mode) or self._engine(mode)
-        quick = engine.quick
-        if quick is not None:
-            done = quick(measurement, references, memory)
-            if not isinstance(done, int):
-                return done
-            if done > LIMITED:
-                return engine.hold(done, measurement, memory)
+        return self._finish(UNTRIED, mode, measurement, references, memory)
+
+    def _finish(
+        self,
+        code: int,
+        mode: str,
+        measurement: Measurement,
+        references: Mapping[str, Reference],
+        memory: Memory,
+    ) -> tuple[Command, TickReport, Memory]:
+        """Do what C has not done: it came to ``code``, or tried nothing."""
+        engine = self._engine(mode)
+        if code > LIMITED:
+            return engine.hold(code, measurement, memory)
         if memory.mode != mode or memory.time == -math.inf:
             engine.demand(references)
         if memory.mode != mode:

@@ -12,11 +12,13 @@ import sysconfig
 from collections.abc import Callable, Mapping
 from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from qpctrl.arrays import Array
 from qpctrl.compiler import NotCompiledError, one_line
+from qpctrl.errors import InputError
 from qpctrl.library import recalled_or_built
 from qpctrl.memory import Measurement, Memory
 from qpctrl.native_tick import NativeTick
@@ -30,6 +32,9 @@ QuickStep = Callable[
 ]
 """Runs a tick; a number where it has no solution, where it is the first one in its mode, or where
 what was given is not plain arrays of the right shape: then Python shall look at it."""
+
+UNTRIED = -1
+"""The number of a tick that was not tried."""
 
 PLACE = struct.Struct("@Pinn")
 """``place`` of native/python.c: address, dimensions, rows, columns."""
@@ -64,6 +69,20 @@ def quick_step(
     return step, ""
 
 
+def dispatch(quick: Mapping[str, QuickStep], slow: Callable[..., object]) -> Callable[..., Any]:
+    """Return ``step(mode, measurement, references, memory)`` of a controller, in C.
+
+    Args:
+        quick: what `quick_step` returns, by mode.
+        slow: takes the same after the code of what the tick came to, −1 where it was not tried.
+    """
+    library, why = _library()
+    if library is None:
+        raise InputError(why)
+    made: Callable[..., Any] = library.qpctrl_dispatch((dict(quick), slow))
+    return made
+
+
 def _place(array: Array) -> bytes:
     rows, columns = (*array.shape, 1, 1)[:2]
     return PLACE.pack(array.ctypes.data, array.ndim, rows, columns)
@@ -88,6 +107,7 @@ def _library() -> tuple[ctypes.PyDLL | None, str]:
 
 def _load(library: Path) -> ctypes.PyDLL:
     loaded = ctypes.PyDLL(str(library))
-    loaded.qpctrl_bind.restype = ctypes.py_object
+    loaded.qpctrl_bind.restype = loaded.qpctrl_dispatch.restype = ctypes.py_object
+    loaded.qpctrl_dispatch.argtypes = (ctypes.py_object,)
     loaded.qpctrl_bind.argtypes = (ctypes.c_void_p, ctypes.c_void_p, ctypes.py_object)
     return loaded

@@ -14,15 +14,15 @@ import polars as pl
 
 from qpctrl.arrays import non_negative, positive
 from qpctrl.errors import InputError
-from scenarios.bimanual_guide import BoxGuide, BoxPlan
-from scenarios.bimanual_metric import box_metrics
-from scenarios.bimanual_modes import REACH, Grip, box_modes
-from scenarios.bimanual_panels import box_panels
-from scenarios.bimanual_world import BOTTOM, CONTACTS, PADS, BoxWorld, build_box_world
 from scenarios.panel import Panel
 from scenarios.scenario import Criterion, Experiment, Options, Outcome
-from scenarios.video_run import Scene
-from scenarios.video_take import View
+from scenarios.video.run import Scene
+from scenarios.video.take import View
+from scenarios.whole_body.bimanual_guide import BoxGuide, BoxPlan
+from scenarios.whole_body.bimanual_metric import box_metrics
+from scenarios.whole_body.bimanual_modes import REACH, Grip, box_modes
+from scenarios.whole_body.bimanual_panels import box_panels
+from scenarios.whole_body.bimanual_world import BOTTOM, CONTACTS, PADS, BoxWorld, build_box_world
 
 DT = 1e-3  # s, the control period and the step of the plant
 SIZE = (0.08, 0.04, 0.05)  # m: half width, half depth and height of the eight

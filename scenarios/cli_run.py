@@ -18,8 +18,8 @@ from scenarios.console import console
 from scenarios.report import label
 from scenarios.run import run_scenario
 from scenarios.scenario import Options, Outcome, Scenario
-from scenarios.video import check_video
-from scenarios.video_run import Filmed, film_run
+from scenarios.video.run import Filmed, film_run
+from scenarios.video.write import check_video
 
 USAGE = f"""usage: qpctrl run SCENARIO [--help]
 

@@ -35,7 +35,7 @@ from scenarios.tipping import (
     TippingPlan,
 )
 from scenarios.torque_step import torque_steps
-from scenarios.video_run import Scene, board_view
+from scenarios.video.run import Scene, board_view
 from scenarios.world import EDGE, Pad, World, build_world
 from tasks import ForceTask, MotionTask, PostureTask
 

@@ -25,7 +25,7 @@ from scenarios.plant_mujoco import MujocoPlant
 from scenarios.plant_rigid import RigidPlant
 from scenarios.report_energy import energy_panel
 from scenarios.scenario import Criterion, Experiment, Options, Outcome
-from scenarios.video_run import Scene, board_view
+from scenarios.video.run import Scene, board_view
 from scenarios.wiping import WipingGuide, WipingPlan
 from scenarios.world import TOOL, Pad, World, build_world
 from tasks import EnergyTask, ForceTask, MotionTask, PostureTask

@@ -37,7 +37,7 @@ from scenarios.plant_mujoco import MujocoPlant
 from scenarios.report_energy import energy_panel
 from scenarios.report_trace import Curve, curve_figure
 from scenarios.scenario import Criterion, Experiment, Options, Outcome
-from scenarios.video_run import Scene, board_view
+from scenarios.video.run import Scene, board_view
 from scenarios.wiping import (
     PRESS_TIME,
     SEARCH_DEPTH,

@@ -15,10 +15,15 @@ import polars as pl
 
 from qpctrl.arrays import Wrench, finite_array, non_negative, positive
 from qpctrl.errors import InputError
-from scenarios.humanoid_guide import PUSH_TIME, RECOVER_TIME, HumanoidGuide, Stance
-from scenarios.humanoid_metric import humanoid_metrics
-from scenarios.humanoid_panels import humanoid_panels
-from scenarios.humanoid_world import (
+from scenarios.panel import Panel
+from scenarios.path import wiping_loops
+from scenarios.scenario import Criterion, Experiment, Options, Outcome
+from scenarios.video.run import Scene
+from scenarios.video.take import View
+from scenarios.whole_body.humanoid_guide import PUSH_TIME, RECOVER_TIME, HumanoidGuide, Stance
+from scenarios.whole_body.humanoid_metric import humanoid_metrics
+from scenarios.whole_body.humanoid_panels import humanoid_panels
+from scenarios.whole_body.humanoid_world import (
     FREE,
     HAND,
     SOLES,
@@ -28,11 +33,6 @@ from scenarios.humanoid_world import (
     humanoid_plant,
     humanoid_world,
 )
-from scenarios.panel import Panel
-from scenarios.path import wiping_loops
-from scenarios.scenario import Criterion, Experiment, Options, Outcome
-from scenarios.video_run import Scene
-from scenarios.video_take import View
 from scenarios.wiping import WipingPlan
 
 DT = 1e-3  # s, the control period and the step of the plant

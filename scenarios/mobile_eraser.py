@@ -22,8 +22,15 @@ from qpctrl.robot import Robot
 from qpctrl.space import TaskSpace
 from qpctrl.status import Status
 from scenarios.metric import column, wiping_metrics
-from scenarios.mobile_guide import BasePlan, MobileGuide
-from scenarios.mobile_metric import (
+from scenarios.panel import Panel
+from scenarios.path import advancing_loops
+from scenarios.plant_mujoco import MujocoPlant
+from scenarios.scenario import Criterion, Experiment, Options, Outcome
+from scenarios.torque_step import torque_metrics
+from scenarios.video.run import Scene
+from scenarios.video.take import View
+from scenarios.whole_body.mobile_guide import BasePlan, MobileGuide
+from scenarios.whole_body.mobile_metric import (
     ACTS,
     acting_limits,
     centre_margin,
@@ -31,15 +38,8 @@ from scenarios.mobile_metric import (
     limit_use,
     progress,
 )
-from scenarios.mobile_panel import mobile_panels
-from scenarios.mobile_world import BASE, BOARD_LEFT, CARRIAGE, mobile_world
-from scenarios.panel import Panel
-from scenarios.path import advancing_loops
-from scenarios.plant_mujoco import MujocoPlant
-from scenarios.scenario import Criterion, Experiment, Options, Outcome
-from scenarios.torque_step import torque_metrics
-from scenarios.video_run import Scene
-from scenarios.video_take import View
+from scenarios.whole_body.mobile_panel import mobile_panels
+from scenarios.whole_body.mobile_world import BASE, BOARD_LEFT, CARRIAGE, mobile_world
 from scenarios.wiping import WipingGuide, WipingPlan
 from scenarios.world import TOOL, Pad, World
 from tasks import EnergyTask, ForceTask, MotionTask, PostureTask

@@ -9,8 +9,8 @@ import numpy as np
 import pinocchio as pin
 
 from qpctrl.arrays import Matrix, Vector, finite_array, positive
-from scenarios.video_png import SIGNATURE, chunk
-from scenarios.video_screen import Pixels, Screen, add_backdrop, add_shape, lit
+from scenarios.video.png import SIGNATURE, chunk
+from scenarios.video.screen import Pixels, Screen, add_backdrop, add_shape, lit
 from scenarios.world import World
 
 CHALK, WIPED = (0.96, 0.95, 0.88), (0.25, 0.42, 0.35)

@@ -16,12 +16,12 @@ from qpctrl.mode import Mode
 from qpctrl.objective import Weighted
 from qpctrl.space import TaskSpace
 from scenarios.bimanual import Bimanual
-from scenarios.bimanual_metric import PHASES, what_gave_way
-from scenarios.bimanual_modes import CARRY, STAND, Grip, box_modes
-from scenarios.bimanual_path import AXIS, eight, ring, sink, straight
-from scenarios.bimanual_world import BOTTOM, PADS, BoxWorld, build_box_world
 from scenarios.run import run_scenario
 from scenarios.scenario import Options, Outcome
+from scenarios.whole_body.bimanual_metric import PHASES, what_gave_way
+from scenarios.whole_body.bimanual_modes import CARRY, STAND, Grip, box_modes
+from scenarios.whole_body.bimanual_path import AXIS, eight, ring, sink, straight
+from scenarios.whole_body.bimanual_world import BOTTOM, PADS, BoxWorld, build_box_world
 from tasks import ForceTask, MotionReference
 
 SQUEEZE, PRESS, MASS, GRAVITY = 60.0, 30.0, 2.0, 9.81

@@ -17,7 +17,7 @@ from scenarios.eraser import Eraser
 from scenarios.gap import Gap
 from scenarios.run import run_scenario
 from scenarios.scenario import Options
-from scenarios.video_run import Filmed, film_run
+from scenarios.video.run import Filmed, film_run
 
 FPS, SIZE = 2.0, (160, 120)
 

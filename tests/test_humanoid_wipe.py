@@ -9,16 +9,16 @@ import polars as pl
 import pytest
 
 from qpctrl import InputError
-from scenarios.humanoid_guide import HumanoidGuide
-from scenarios.humanoid_metric import PUSHED, WIPING, what_gave_way
 from scenarios.humanoid_wipe import LIMITS, HumanoidWipe
-from scenarios.humanoid_world import SOLES
 from scenarios.plant import PlantState
 from scenarios.run import run_scenario
 from scenarios.scenario import Options, Outcome
 from scenarios.simulation import simulate
-from scenarios.whole_body_contact import CarryingContact, friction_margin, pressure_margin
-from scenarios.whole_body_panels import contact_panels
+from scenarios.whole_body.contact import CarryingContact, friction_margin, pressure_margin
+from scenarios.whole_body.contact_panels import contact_panels
+from scenarios.whole_body.humanoid_guide import HumanoidGuide
+from scenarios.whole_body.humanoid_metric import PUSHED, WIPING, what_gave_way
+from scenarios.whole_body.humanoid_world import SOLES
 
 PHASES = ("stand", "approach", "touch", "press", "wipe", "push", "recover", "release", "lift")
 WEIGHT = 61.6 * 9.81  # N

@@ -13,15 +13,21 @@ import pytest
 from qpctrl import InputError
 from scenarios.metric import column
 from scenarios.mobile_eraser import MobileEraser
-from scenarios.mobile_guide import BasePlan, Lift
-from scenarios.mobile_metric import acting_limits, joint_margins, limit_use, matrix, progress
-from scenarios.mobile_world import BASE, BOARD_LEFT, CARRIAGE, mobile_world
 from scenarios.path import advancing_loops
 from scenarios.plant_mujoco import MujocoPlant
 from scenarios.robot_file import MODELS
 from scenarios.run import run_scenario
 from scenarios.scenario import Options, Outcome
 from scenarios.simulation import simulate
+from scenarios.whole_body.mobile_guide import BasePlan, Lift
+from scenarios.whole_body.mobile_metric import (
+    acting_limits,
+    joint_margins,
+    limit_use,
+    matrix,
+    progress,
+)
+from scenarios.whole_body.mobile_world import BASE, BOARD_LEFT, CARRIAGE, mobile_world
 from scenarios.wiping import WipingGuide
 from scenarios.world import TOOL, Pad
 

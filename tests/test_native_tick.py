@@ -276,11 +276,33 @@ def test_what_a_tick_returned_stays_as_it_was() -> None:
         assert np.array_equal(old, now, equal_nan=True)
 
 
+def test_a_step_in_c_takes_names_and_refuses_what_python_refuses() -> None:
+    controller = make("yes")
+    assert "step" in vars(controller)
+    mode = "contact"
+    memory, q = controller.start(mode, controller.robot.home), controller.robot.home
+    seen = Measurement(0.001, q, np.zeros(len(q)))
+    given = references(0, controller.robot)
+    _, _, memory = controller.step(mode, seen, given, memory)  # the first tick is Python's
+    seen = Measurement(0.002, q, np.zeros(len(q)))
+    one, report, _ = controller.step(mode, seen, given, memory)
+    other, _, _ = controller.step(mode=mode, measurement=seen, references=given, memory=memory)
+    assert report.status is Status.OK
+    assert one.tau.tobytes() == other.tau.tobytes()
+    with pytest.raises(InputError, match="unknown mode 'nowhere'"):
+        controller.step("nowhere", seen, given, memory)
+    with pytest.raises(TypeError):
+        controller.step(mode, seen, given)  # type: ignore[call-arg]
+    with pytest.raises(TypeError, match="mode, measurement, references, memory"):
+        controller.step(*[mode] * 9)  # type: ignore[call-arg]
+    stale = controller.step(mode, seen, given, controller.step(mode, seen, given, memory)[2])
+    assert stale[1].status is Status.STALE
+
+
 def test_the_way_in_from_python_and_the_one_in_c_give_the_same_bits() -> None:
     quick, plain = make("yes"), make("yes")
-    for engine in plain.engines.values():
-        assert engine.quick is not None  # this machine has the headers
-        engine.quick = None
+    assert all(engine.quick is not None for engine in plain.engines.values())
+    del vars(plain)["step"]  # what is left is the method in Python
     for i, (one, two) in enumerate(zip(run(quick), run(plain), strict=True)):
         assert one.report.status is two.report.status, i
         assert one.tau.tobytes() == two.tau.tobytes()

@@ -10,7 +10,7 @@ import quadprog
 from qpctrl.errors import InputError
 from qpctrl.limit import UNBOUNDED
 from qpctrl.priority import Level, Priorities, Ranked
-from qpctrl.priority_piece import Piece, minimiser
+from qpctrl.priority.piece import Piece, minimiser
 from qpctrl.solver import ActiveSet, QpData, Solution
 
 KKT = 1e-9
@@ -258,6 +258,35 @@ def test_a_limit_that_presses_once_presses_for_good() -> None:
     assert ranked.unique
 
 
+def test_a_limit_that_is_met_without_pressing_is_left_again() -> None:
+    """x₀ presses as above; x₂ must come up to 2, where nothing presses, and then goes on to 5."""
+    limits = np.array([[1.0, 1.0, 0.0, 0.0], [1.0, -1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]])
+    expected = np.array([1.0, 0.0, 5.0, -3.0])
+    for seed in range(50):
+        turn, _ = np.linalg.qr(np.random.default_rng(seed).normal(size=(4, 4)))
+        problem = Problem(
+            (level(turn[:1], np.array([10.0])), level(turn[2:], expected[2:])),
+            np.zeros((0, 4)),
+            np.zeros(0),
+            limits @ turn,
+            np.array([-UNBOUNDED, -UNBOUNDED, 2.0]),
+            np.array([1.0, 1.0, UNBOUNDED]),
+        )
+        ranked = solve(problem)
+        assert turn @ ranked.solution.x == pytest.approx(expected, abs=1e-12)
+        assert ranked.levels[0].z == pytest.approx([4.5, 4.5, 0])
+
+
+def test_a_limit_is_kept_to_round_off() -> None:
+    problem = Problem(
+        (level(np.eye(2), np.array([1 + 1e-8, 0.5])),),
+        *(np.zeros((0, 2)), np.zeros(0), np.eye(2), -np.ones(2), np.ones(2)),
+    )
+    ranked = solve(problem)
+    assert ranked.solution.x[0] == pytest.approx(1, abs=1e-15)
+    assert ranked.solution.z == pytest.approx([1e-8, 0], rel=1e-6)
+
+
 def test_freedom_that_nobody_wants_is_said_to_be_undecided() -> None:
     problem = drawn(np.random.default_rng(3))
     some = without_limits(problem)._replace(levels=problem.levels[:1])
@@ -434,25 +463,10 @@ def parallel_levels(rng: np.random.Generator) -> Problem:
     return problem._replace(levels=levels)
 
 
-def met_limits(rng: np.random.Generator) -> Problem:
-    """Return a problem whose first level wants just what limits allow; the last one, less."""
-    problem = drawn(rng, largest=30)
-    n, first = len(problem.C.T), problem.levels[0].G
-    wanted = np.linalg.pinv(problem.A) @ problem.b + 0.0
-    Cx, met = problem.C @ wanted, rng.random(len(problem.C)) < 0.3
-    lb, ub = np.minimum(problem.lb, Cx - 1), np.maximum(problem.ub, Cx + 1)
-    inward = wanted - np.linalg.pinv(problem.C[met]) @ np.ones(met.sum())
-    levels = (level(first, first @ wanted), level(problem.C[met], problem.C[met] @ inward))
-    return problem._replace(
-        levels=(*levels, level(np.eye(n), rng.normal(size=n))), lb=lb, ub=np.where(met, Cx, ub)
-    )
-
-
 DEGENERATE = {
     whole_numbers: 1e-11,
     friction_cones: 1e-11,
     no_interior: 1e-11,
-    met_limits: 1e-11,
     other_units: 3e-12,
     parallel_levels: KKT,
 }

@@ -19,11 +19,12 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from qpctrl import InputError, Status
-from scenarios import report_figure, report_style, report_torque, video_screen
+from scenarios import report_figure, report_style, report_torque
 from scenarios.catalogue import SCENARIOS
 from scenarios.panel import board_panels
 from scenarios.picture import png, render_scene
 from scenarios.report import LABELS, label, quantity, render_report
+from scenarios.video import screen as video_screen
 from scenarios.world import build_world
 
 TICKS = 5000

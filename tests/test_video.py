@@ -20,13 +20,13 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from qpctrl import InputError
-from scenarios import video_screen
 from scenarios.plant_model import robot_from_mujoco
-from scenarios.video import FORMATS, check_video, checked_writer, sampled, write_video
-from scenarios.video_reel import Reel
-from scenarios.video_run import Scene, board_view, film_run, force_arrows
-from scenarios.video_screen import Pixels
-from scenarios.video_take import Arrow, Take, View
+from scenarios.video import screen as video_screen
+from scenarios.video.reel import Reel
+from scenarios.video.run import Scene, board_view, film_run, force_arrows
+from scenarios.video.screen import Pixels
+from scenarios.video.take import Arrow, Take, View
+from scenarios.video.write import FORMATS, check_video, checked_writer, sampled, write_video
 
 SCENE = """
 <mujoco>

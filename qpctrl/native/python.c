@@ -196,15 +196,57 @@ static PyObject *result(const binding *b, int limited, PyObject *measurement, Py
     return named(&PyTuple_Type, 3, parts);
 }
 
-static PyObject *step(PyObject *self, PyObject *const *args, Py_ssize_t count)
+/* The tick of (measurement, references, memory), or a number: why Python shall look at it. */
+static PyObject *ticked(const binding *b, PyObject *const *args)
 {
-    const binding *b = PyCapsule_GetPointer(self, NULL);
-    if (count != 3 || !load(b, args[0], args[1], args[2])) {
+    if (!load(b, args[0], args[1], args[2])) {
         return PyErr_Occurred() ? NULL : PyLong_FromLong(NOT_LOADED);
     }
     const int code = b->solve(b->tick);
     return code > QPCTRL_LIMITED ? PyLong_FromLong(code)
                                  : result(b, code == QPCTRL_LIMITED, args[0], args[2]);
+}
+
+static PyObject *step(PyObject *self, PyObject *const *args, Py_ssize_t count)
+{
+    const binding *b = PyCapsule_GetPointer(self, NULL);
+    return count == 3 ? ticked(b, args) : PyLong_FromLong(NOT_LOADED);
+}
+
+/* Controller.step where its mode is bound and all is usual; `given`: mode -> bound step, and
+ * what takes (code, mode, measurement, references, memory) where it is not. */
+static PyObject *dispatch(PyObject *given, PyObject *const *args, Py_ssize_t count, PyObject *names)
+{
+    PyObject *const steps = PyTuple_GET_ITEM(given, 0), *const slow = PyTuple_GET_ITEM(given, 1);
+    const Py_ssize_t named_count = names ? PyTuple_GET_SIZE(names) : 0;
+    PyObject *code = NULL;
+    if (count == 4 && named_count == 0) {
+        PyObject *bound = PyDict_GetItemWithError(steps, args[0]);
+        if (bound) {
+            PyObject *done = ticked(PyCapsule_GetPointer(PyCFunction_GET_SELF(bound), NULL), args + 1);
+            if (!done || !PyLong_Check(done)) {
+                return done;
+            }
+            code = done;
+        } else if (PyErr_Occurred()) {
+            PyErr_Clear(); /* no name at all; Python says so */
+        }
+    }
+    if (!code && !(code = PyLong_FromLong(NOT_LOADED))) {
+        return NULL;
+    }
+    PyObject *all[9] = {code};
+    if (count + named_count > 8) {
+        Py_DECREF(code);
+        PyErr_SetString(PyExc_TypeError, "step: takes mode, measurement, references, memory");
+        return NULL;
+    }
+    for (Py_ssize_t i = 0; i < count + named_count; ++i) {
+        all[i + 1] = args[i];
+    }
+    PyObject *done = PyObject_Vectorcall(slow, all, (size_t)count + 1, names);
+    Py_DECREF(code);
+    return done;
 }
 
 static void unbind(PyObject *capsule)
@@ -252,4 +294,12 @@ PyObject *qpctrl_bind(const qpctrl_tick *tick, solver solve, PyObject *given)
     PyObject *function = capsule ? PyCFunction_New(&definition, capsule) : NULL;
     Py_XDECREF(capsule);
     return function;
+}
+
+/* Return step(mode, measurement, references, memory) of a controller; `given` as in `dispatch`. */
+PyObject *qpctrl_dispatch(PyObject *given)
+{
+    static PyMethodDef definition = {"step", (PyCFunction)(void (*)(void))dispatch,
+                                     METH_FASTCALL | METH_KEYWORDS, "Run one tick."};
+    return PyCFunction_New(&definition, given);
 }

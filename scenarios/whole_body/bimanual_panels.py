@@ -6,13 +6,13 @@ import numpy as np
 import polars as pl
 
 from scenarios import report_style as style
-from scenarios.bimanual_metric import internal_force, what_gave_way
-from scenarios.bimanual_world import BoxWorld
 from scenarios.panel import Panel
 from scenarios.report_style import Figure, column, trace
 from scenarios.report_trace import Curve, curve_figure
 from scenarios.torque_step import torque_steps
-from scenarios.whole_body_panels import contact_panels
+from scenarios.whole_body.bimanual_metric import internal_force, what_gave_way
+from scenarios.whole_body.bimanual_world import BoxWorld
+from scenarios.whole_body.contact_panels import contact_panels
 
 
 def box_panels(table: pl.DataFrame, world: BoxWorld) -> tuple[Panel, ...]:

@@ -7,8 +7,8 @@ import numpy as np
 from jaxtyping import Bool, UInt8
 from PIL import GifImagePlugin, Image
 
-from scenarios.video_png import box_around
-from scenarios.video_reel import Reel
+from scenarios.video.png import box_around
+from scenarios.video.reel import Reel
 
 COLOURS = 255
 CLEAR = 255  # the colour through which the picture before is seen

@@ -11,13 +11,13 @@ import pinocchio as pin
 from qpctrl.arrays import Vector
 from qpctrl.objective import Reference
 from qpctrl.robot import Robot
-from scenarios.bimanual_modes import CARRY, REACH, SLIDE, STAND
-from scenarios.bimanual_path import Path, Place, eight, ring, sink, stay, straight
-from scenarios.bimanual_world import GAP, HALF, HANDS, SIDES
 from scenarios.guided import ThereAndBack
 from scenarios.path import glide
 from scenarios.plant import PlantState
 from scenarios.scenario import Directive
+from scenarios.whole_body.bimanual_modes import CARRY, REACH, SLIDE, STAND
+from scenarios.whole_body.bimanual_path import Path, Place, eight, ring, sink, stay, straight
+from scenarios.whole_body.bimanual_world import GAP, HALF, HANDS, SIDES
 from tasks import ForceReference, GraspForceReference, MotionReference
 
 TOUCH = ThereAndBack(far=3 * GAP, speed=0.005)  # m, m/s, of the pads until they feel the box

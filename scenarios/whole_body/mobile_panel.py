@@ -8,12 +8,12 @@ import polars as pl
 from qpctrl.arrays import Array, Vector
 from qpctrl.robot import Limits
 from scenarios import report_style as style
-from scenarios.mobile_metric import shares
-from scenarios.mobile_world import BASE
 from scenarios.panel import Panel, board_panels
 from scenarios.report_style import Figure, column, trace
 from scenarios.report_trace import Curve, curve_figure
 from scenarios.scenario import Outcome
+from scenarios.whole_body.mobile_metric import shares
+from scenarios.whole_body.mobile_world import BASE
 
 HALF_CARRIAGE = (0.30, 0.23)  # m, along x and y of the base
 LINE = 0.05  # m, by which the line of the board goes on beyond the path

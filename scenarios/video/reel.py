@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from itertools import pairwise
 
-from scenarios.video_screen import Pixels
+from scenarios.video.screen import Pixels
 
 _FINEST = 1000  # largest denominator of a rate: 30000/1001 frames/s is 29.97
 

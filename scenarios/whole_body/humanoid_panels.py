@@ -6,13 +6,13 @@ import numpy as np
 import polars as pl
 
 from qpctrl.arrays import Array
-from scenarios.humanoid_metric import body_motion, what_gave_way
-from scenarios.humanoid_world import SOLES, HumanoidWorld
 from scenarios.panel import Panel
 from scenarios.report_style import column
 from scenarios.report_trace import Curve, curve_figure, plane_figure
 from scenarios.torque_step import torque_steps
-from scenarios.whole_body_panels import contact_panels
+from scenarios.whole_body.contact_panels import contact_panels
+from scenarios.whole_body.humanoid_metric import body_motion, what_gave_way
+from scenarios.whole_body.humanoid_world import SOLES, HumanoidWorld
 
 AXES = ("forward", "left", "up")
 

@@ -12,8 +12,8 @@ import numpy as np
 from scipy.linalg.lapack import dpstrf, dtrtrs
 
 from qpctrl.arrays import Matrix, Vector
-from qpctrl.priority_basis import Basis
-from qpctrl.priority_piece import Piece, Point, minimiser
+from qpctrl.priority.basis import Basis
+from qpctrl.priority.piece import Piece, Point, minimiser
 from qpctrl.solver import Solver
 
 FLAT = 1e-12
@@ -147,8 +147,9 @@ class Cascade:
     def _press(self, z: Vector, hard: Hard) -> Press:
         """Fix the limits that press."""
         pressed, fixed = z.nonzero()[0], self.basis.size
-        if len(pressed):
-            self.basis.fix(hard.C[pressed], pressed)
+        if len(pressed) == 0:
+            return Press(z, np.zeros(len(hard.units)), fixed)
+        self.basis.fix(hard.C[pressed], pressed)
         return Press(z, z @ hard.C, fixed)
 
 

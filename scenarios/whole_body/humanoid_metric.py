@@ -9,17 +9,17 @@ import polars as pl
 from qpctrl.arrays import Matrix, Vector
 from qpctrl.robot import Robot
 from qpctrl.status import Status
-from scenarios.humanoid_world import SOLES, TORSO, HumanoidWorld
 from scenarios.metric import column, rms, rms_norm, tick_metrics, whole_run_metrics
 from scenarios.record import fallback_count
 from scenarios.torque_step import torque_metrics
-from scenarios.whole_body_contact import (
+from scenarios.whole_body.contact import (
     LEAST_FORCE,
     centre_of_pressure,
     friction_margin,
     pressure_margin,
     true_wrench,
 )
+from scenarios.whole_body.humanoid_world import SOLES, TORSO, HumanoidWorld
 
 SLIPPED, TIPPED, DROPPED = 1.0, 1.0, 50.0
 """Way of a sole [mm], its tilt [deg] and way down of the torso [mm] that count as giving way."""

@@ -18,7 +18,7 @@ from scenarios.plant_bodies import BodiesPlant, Touch
 from scenarios.plant_coordinates import coordinates
 from scenarios.plant_model import check_agreement, frame_pose, robot_from_mujoco
 from scenarios.robot_file import MODELS
-from scenarios.whole_body_contact import CarryingContact
+from scenarios.whole_body.contact import CarryingContact
 from tasks import CentreOfMassTask, EnergyTask, ForceTask, MomentumTask, MotionTask, PostureTask
 
 HAND, TORSO = TaskSpace("right_hand"), TaskSpace("torso", ("wx", "wy", "wz"))

@@ -11,8 +11,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from qpctrl.arrays import Array, Vector
-from qpctrl.priority_basis import Basis
-from qpctrl.priority_cascade import Press
+from qpctrl.priority.basis import Basis
+from qpctrl.priority.cascade import Press
 from qpctrl.solver import QpData
 
 

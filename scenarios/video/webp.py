@@ -4,7 +4,7 @@ from pathlib import Path
 
 from PIL import Image
 
-from scenarios.video_reel import Reel
+from scenarios.video.reel import Reel
 
 QUALITY = 90
 EFFORT = 2  # of 6; more takes longer and saves little

@@ -13,7 +13,7 @@ from qpctrl.contact import Footprint, FrictionCone, MaxForce, WrenchLimit
 from qpctrl.mode import Mode
 from qpctrl.objective import Weighted
 from qpctrl.robot import Robot
-from scenarios.bimanual_world import BOTTOM, HANDS, PAD_HALF, PADS, SIDES, BoxWorld
+from scenarios.whole_body.bimanual_world import BOTTOM, HANDS, PAD_HALF, PADS, SIDES, BoxWorld
 from tasks import ForceTask, GraspForceTask, MotionTask, PostureTask
 
 REACH, STAND, CARRY, SLIDE = "reach", "stand", "carry", "slide"

@@ -19,7 +19,7 @@ import numpy as np
 
 from qpctrl.arrays import Matrix, Vector
 from qpctrl.polish import active_set
-from qpctrl.priority_basis import RANK, factorised
+from qpctrl.priority.basis import RANK, factorised
 from qpctrl.solver import QpData, Solver
 
 ROUND_OFF = 1e-12

@@ -10,10 +10,10 @@ from qpctrl.arrays import Vector, Wrench
 from qpctrl.contact import ContactPhase
 from qpctrl.objective import Reference
 from qpctrl.robot import Robot
-from scenarios.humanoid_world import FREE, HAND, SOLES, TORSO, HumanoidWorld
 from scenarios.path import Glide, glide
 from scenarios.plant import PlantState
 from scenarios.scenario import Directive
+from scenarios.whole_body.humanoid_world import FREE, HAND, SOLES, TORSO, HumanoidWorld
 from scenarios.wiping import APPROACH_TIME, LIFT_TIME, WipingGuide, WipingPlan
 from tasks import CentreOfMassReference, ForceReference, MotionReference
 

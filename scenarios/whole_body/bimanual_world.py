@@ -14,7 +14,7 @@ from scenarios.plant_bodies import BodiesPlant, Touch
 from scenarios.plant_coordinates import coordinates
 from scenarios.plant_model import check_agreement, robot_from_mujoco
 from scenarios.robot_file import MODELS
-from scenarios.whole_body_contact import CarryingContact
+from scenarios.whole_body.contact import CarryingContact
 from scenarios.world import Pad
 
 SIDES = ("left", "right")

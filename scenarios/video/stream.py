@@ -3,7 +3,7 @@
 import importlib
 from pathlib import Path
 
-from scenarios.video_reel import Reel
+from scenarios.video.reel import Reel
 
 av = importlib.import_module("av")
 

@@ -10,7 +10,7 @@ from qpctrl.arrays import Vector
 from scenarios import report_style as style
 from scenarios.panel import Panel
 from scenarios.report_style import Figure, column, line, trace
-from scenarios.whole_body_contact import (
+from scenarios.whole_body.contact import (
     CarryingContact,
     centre_of_pressure,
     friction_margin,

@@ -15,8 +15,8 @@ from qpctrl.robot import Robot
 from scenarios.metric import column
 from scenarios.plant_coordinates import coordinates
 from scenarios.scenario import Outcome
-from scenarios.video import FPS, SIZE, sampled, write_video
-from scenarios.video_take import Arrow, View
+from scenarios.video.take import Arrow, View
+from scenarios.video.write import FPS, SIZE, sampled, write_video
 
 
 @final

@@ -6,13 +6,13 @@ import polars as pl
 
 from qpctrl.arrays import Matrix, Vector
 from qpctrl.robot import Robot
-from scenarios.bimanual_modes import CARRY, SLIDE
-from scenarios.bimanual_world import PADS, SIDES, BoxWorld
 from scenarios.metric import column, largest_norm, rms, rms_norm, tick_metrics, whole_run_metrics
 from scenarios.record import fallback_count
 from scenarios.report_style import column as column_or_none
 from scenarios.torque_step import torque_metrics
-from scenarios.whole_body_contact import (
+from scenarios.whole_body.bimanual_modes import CARRY, SLIDE
+from scenarios.whole_body.bimanual_world import PADS, SIDES, BoxWorld
+from scenarios.whole_body.contact import (
     LEAST_FORCE,
     centre_of_pressure,
     friction_margin,

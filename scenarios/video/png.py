@@ -12,8 +12,8 @@ from typing import BinaryIO, NamedTuple
 import numpy as np
 from jaxtyping import UInt8
 
-from scenarios.video_reel import Reel
-from scenarios.video_screen import Pixels
+from scenarios.video.reel import Reel
+from scenarios.video.screen import Pixels
 
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _RGBA = 6  # colour type

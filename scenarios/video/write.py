@@ -11,9 +11,9 @@ import numpy as np
 from qpctrl.arrays import Array, Matrix, Vector, positive
 from qpctrl.errors import InputError, reason_of, unknown_name
 from scenarios.run import all_or_none, writable_folder
-from scenarios.video_reel import Reel
-from scenarios.video_screen import Screen, lit
-from scenarios.video_take import Arrow, Take, View
+from scenarios.video.reel import Reel
+from scenarios.video.screen import Screen, lit
+from scenarios.video.take import Arrow, Take, View
 
 FPS, SIZE = 25.0, (640, 480)
 """Pictures in a second [1/s], and width and height [pixels], where nothing else is asked for."""
@@ -38,11 +38,11 @@ class Format(NamedTuple):
 
 
 FORMATS = {
-    ".gif": Format("scenarios.video_gif", "write_gif", "scenarios", 50.0),
-    ".webp": Format("scenarios.video_webp", "write_webp", "scenarios", 60.0),
-    ".png": Format("scenarios.video_png", "write_png", "scenarios", 60.0),
-    ".mp4": Format("scenarios.video_stream", "write_stream", "video", 60.0, step=2),
-    ".webm": Format("scenarios.video_stream", "write_stream", "video", 60.0, step=2),
+    ".gif": Format("scenarios.video.gif", "write_gif", "scenarios", 50.0),
+    ".webp": Format("scenarios.video.webp", "write_webp", "scenarios", 60.0),
+    ".png": Format("scenarios.video.png", "write_png", "scenarios", 60.0),
+    ".mp4": Format("scenarios.video.stream", "write_stream", "video", 60.0, step=2),
+    ".webm": Format("scenarios.video.stream", "write_stream", "video", 60.0, step=2),
 }
 """Kinds of files by suffix; players slow down a GIF of more than 50 pictures in a second."""
 

@@ -12,7 +12,8 @@ stay inequalities, which xᵢ satisfies. So no level finds the rows impossible t
 keep, however little room they leave.
 
 Of each level the KKT residual is measured on the QP above as it stands, with multipliers of the
-right signs, and from the arrays that were given.
+right signs. A level whose rows those above decide but for a part between `RANK` and √`FLAT` keeps
+what it has of them and cannot decide on the rest; its residual shows that.
 
 Source: Kanoun2011 for the cascade, Escande2014 for a basis refined from level to level.
 """
@@ -26,9 +27,9 @@ import numpy as np
 from qpctrl.arrays import Array, Matrix, Vector
 from qpctrl.errors import InputError
 from qpctrl.limit import UNBOUNDED
-from qpctrl.priority_basis import RANK, row_sizes
-from qpctrl.priority_cascade import Cascade, Hard, Level, Step
-from qpctrl.priority_certificate import kkt_residual, multipliers
+from qpctrl.priority.basis import RANK, row_sizes
+from qpctrl.priority.cascade import Cascade, Hard, Level, Step
+from qpctrl.priority.certificate import kkt_residual, multipliers
 from qpctrl.solver import ActiveSet, QpData, Solution, Solver
 
 __all__ = ["Attained", "Level", "Priorities", "Ranked"]

@@ -10,7 +10,7 @@ import numpy as np
 
 from qpctrl.arrays import Array, Matrix, Vector, finite_array, positive
 from qpctrl.errors import InputError, unknown_name
-from scenarios.video_screen import Colour, Pixels, Screen, add_backdrop, add_shape, lit
+from scenarios.video.screen import Colour, Pixels, Screen, add_backdrop, add_shape, lit
 
 SAMPLES, SHADOW = 4, 2048  # of a pixel; width of the map of shadows [pixels]
 SHORTEST = 1e-3  # m, of an arrow that is drawn

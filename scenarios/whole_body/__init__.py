@@ -1,0 +1,1 @@
+"""What the whole-body scenarios are made of: scenes, guides, metrics, pictures."""
