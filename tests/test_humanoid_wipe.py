@@ -133,7 +133,7 @@ def test_no_torque_jumps_where_the_hand_touches_and_leaves() -> None:
         ({"push": 400.0}, {"foot_tilt_max_deg", "torso_drop_max_mm"}, ("footprint", "torso down")),
         ({"ground_friction": 0.03}, {"foot_slip_max_mm"}, ("friction", "slipped")),
     ],
-    ids=str,
+    ids=["push", "friction"],
 )
 def test_what_the_feet_cannot_hold_ends_in_a_verdict_that_says_why(given, missed, words) -> None:
     outcome = run(**given)[0]
