@@ -13,8 +13,8 @@ from qpctrl.spatial import SX
 class ContactPlace(NamedTuple):
     """Where the numbers of one contact are."""
 
-    name: str
-    """Names of its constraints, joined by +."""
+    constraints: tuple[str, ...]
+    """Names of its constraints."""
     axes: tuple[str, ...]
     """Of its task space."""
     A: str
@@ -31,9 +31,14 @@ class ContactPlace(NamedTuple):
     """Unit of each limit."""
 
     @property
+    def name(self) -> str:
+        """Names of its constraints, joined by +."""
+        return "+".join(self.constraints)
+
+    @property
     def owners(self) -> tuple[str, ...]:
         """Names in front of its rows: its constraints and its limits."""
-        return *self.name.split("+"), *self.limits
+        return *self.constraints, *self.limits
 
 
 class ContactReport(NamedTuple):
@@ -73,7 +78,7 @@ def contact_places(model: ModeModel) -> tuple[ContactPlace, ...]:
             limits = {part.name: part.unit for part in mode.contact_limits if part.space == space}
             places.append(
                 ContactPlace(
-                    "+".join(c.name for c in mode.constraints if c.space == space),
+                    tuple(c.name for c in mode.constraints if c.space == space),
                     space.axes,
                     f"A{i}",
                     slice(lam, lam := lam + split.k),
@@ -96,8 +101,7 @@ def margins(rows: Sequence[str], places: tuple[ContactPlace, ...], left: SX) -> 
     """
     found = []
     for limit in (name for place in places for name in place.limits):
-        head = f"contact {limit}."
-        own = [i for i, row in enumerate(rows) if row.startswith(head)]
+        own = [i for i, row in enumerate(rows) if row.rpartition(".")[0] == f"contact {limit}"]
         found.append(ca.mmin(left[own]))
     return ca.densify(ca.vertcat(ca.SX(0, 1), *found))
 

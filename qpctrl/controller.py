@@ -80,7 +80,7 @@ class Controller:
                 )
 
         quick = {name: engine.quick for name, engine in self.engines.items() if engine.quick}
-        if quick:
+        if quick and type(self).step is Controller.step:
             vars(self)["step"] = dispatch(quick, self._finish)  # the method below, in C
 
     @property

@@ -192,12 +192,18 @@ class Engine:
         size; limits on the rate of the torque do not count where nothing was sent before.
         """
         parts, kept = self.parts, self._u.copy()
+        x, before = parts.inputs["x"], parts.inputs["x"].copy()
+        x[:] = self.tick.memory.vector()
+        own = self.tick.inputs.views(self.tick.inputs.vector())
+        for task in self.tick.mode.tasks:  # what one of them measured last is of no matter here
+            for name in task.task.inputs():
+                self.inputs[f"{task.task.name}.{name}"][...] = own[f"{task.task.name}.{name}"]
         self._q[:], self._v[:] = q, np.zeros(len(self._v))
         free = {"limits.tau_rate": UNBOUNDED / self._dt, "limits.tau_last": 0.0, "mu": 0.0}
         for name, value in free.items():
             self.inputs[name][...] = value
         parts.tick()
-        self._u[:] = kept
+        self._u[:], x[:] = kept, before
         (H, _, A, b, C, lb, ub), nv = parts.qp, len(self._v)
         held = self.tick.mode_rows if self.tick.mode.slack is None else 0
         n, rows = len(H) - nv, np.r_[: self._nu, self._nu + nv : len(lb)]  # none on a, which is 0

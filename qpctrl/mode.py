@@ -57,8 +57,10 @@ class Mode:
             raise InputError(f"mode {self.name!r}: slack needs a constraint that can give way")
         if self.slack is not None and len(self.priorities) > 1:
             raise InputError(f"mode {self.name!r}: slack and priorities exclude each other")
-        for task, weight, _ in self.tasks:
+        for task, weight, priority in self.tasks:
             _check_weight(weight, f"weight of task {task.name!r}")
+            if not isinstance(priority, int):
+                raise InputError(f"priority of task {task.name!r}: got {priority}, need an integer")
         if self.slack is not None:
             _check_weight(self.slack, f"slack of mode {self.name!r}")
 

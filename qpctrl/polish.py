@@ -15,6 +15,10 @@ CORRECTIONS = 2
 """Steps of iterative refinement; after one the full form is off by up to 1e-10, relative."""
 
 
+SINGULAR = 1e-15
+"""Smallest pivot over the largest below which a system has no unique solution."""
+
+
 class Polish:
     """Solves the KKT system of a QP with some inequalities held as equalities."""
 
@@ -32,6 +36,12 @@ class Polish:
         """Return the solution with the equalities alone."""
         return self._solve(qp, np.empty(0, dtype=np.intp), qp.ub)
 
+    @staticmethod
+    def _is_singular(factors: np.ndarray) -> bool:
+        """Return whether rows depend on each other, but for round-off."""
+        pivots = np.abs(factors.diagonal())
+        return bool(pivots.min() < SINGULAR * pivots.max())
+
     def _solve(self, qp: QpData, active: np.ndarray, bound: Vector) -> Solution:
         n, m = self._n, self._n + self._m
         size = m + len(active)
@@ -45,7 +55,7 @@ class Polish:
             rhs[m:] = bound[active]
         z = np.zeros(len(bound))
         factors, pivots, point, info = dgesv(K, rhs)
-        if info:
+        if info or self._is_singular(factors):
             point.fill(np.nan)
         else:
             for _ in range(CORRECTIONS):

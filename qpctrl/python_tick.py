@@ -10,6 +10,7 @@ from qpctrl.arrays import Vector
 from qpctrl.law import Law
 from qpctrl.parts import TickParts
 from qpctrl.polish import Polish, active_set
+from qpctrl.priority import Level, Priorities
 from qpctrl.ranked_tick import RankedTick
 from qpctrl.report import ACTIVE_DUAL
 from qpctrl.solver import ActiveSet, QpData, Solution, Solver
@@ -36,6 +37,7 @@ class PythonTick:
         self._polish = Polish(*(len(values) for values in parts.point))
         self._torque_map = parts.torque_map
         self._ranked = RankedTick(parts, solver) if parts.upper_levels else None
+        self._second: Priorities | None = None
         self._starts_free = isinstance(solver, ActiveSet)
         self._is_free = False  # whether it is the minimiser without inequalities, seen at once
         self._none = np.zeros(len(parts.point[2]))
@@ -63,6 +65,8 @@ class PythonTick:
         if self._is_free:
             return self._note(free)
         rough = self._solver.solve(_convex(parts.qp) if parts.searched else parts.qp)
+        if not rough.feasible and parts.searched:
+            rough = self._second_opinion()
         if not rough.feasible:
             return INFEASIBLE
         if not self._polished(rough, free) <= self._tolerance:
@@ -103,6 +107,14 @@ class PythonTick:
         if damping > 0:
             parts.u["mu"][...] = damping
             parts.tick()
+
+    def _second_opinion(self) -> Solution:
+        """Return what the levels' solver finds, where the first one finds no solution."""
+        qp = self._parts.qp
+        if self._second is None:
+            n, m, r = (len(values) for values in self._parts.point)
+            self._second = Priorities(n, m, r)
+        return self._second.solve([Level(qp.H, qp.g, np.eye(len(qp.g)))], *qp[2:]).solution
 
     def _solve_ranked(self, ranked: RankedTick) -> int:
         """Solve level after level; the residual is the largest of all levels."""

@@ -73,6 +73,13 @@ class CentroidalSpace(TaskSpace):
 
     frame: str = "centre of mass"
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.relative_to is not None:
+            raise InputError(
+                f"centre of mass: got relative_to {self.relative_to!r}; it is seen from the world"
+            )
+
 
 class FrameMotion(NamedTuple):
     """Pose and twist of the frame of a task space."""

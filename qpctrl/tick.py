@@ -22,6 +22,7 @@ from qpctrl.mode import Mode
 from qpctrl.model import ModeModel
 from qpctrl.objective import (
     ForceObjective,
+    GraspObjective,
     MotionObjective,
     PostureObjective,
 )
@@ -162,7 +163,9 @@ def _qp_terms(model: ModeModel) -> QpTerms:
         AJ=model.AJ,
         b_c=_stack(b_c),
         slack=model.mode.slack is not None,
-        searched=model.mode.metric == "home" or len(model.mode.priorities) > 1,
+        searched=model.mode.metric == "home"
+        or len(model.mode.priorities) > 1
+        or bool(model.of(GraspObjective)),  # whose Hessian in λ has not full rank
         B=model.robot.B,
         torque=limit.torque_bounds(
             limits, u["dt"], limit.actuator_speed(model.robot, model.dynamics.v)

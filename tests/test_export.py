@@ -27,10 +27,12 @@ from qpctrl import (
     Pfaffian,
     Robot,
     Status,
+    TaskSpace,
     Weighted,
     from_pinocchio,
 )
-from qpctrl.contact import FrictionCone, MaxForce
+from qpctrl.constraint import Embedded
+from qpctrl.contact import Footprint, FrictionCone, MaxForce
 from qpctrl.export import RECORDING, Recording, project_files
 from qpctrl.export.tables import OUTCOMES, solver_iwork, solver_work
 from qpctrl.export.text import Identifiers, comment, string
@@ -255,11 +257,62 @@ def test_mode_switches_bad_ticks_and_limits_are_replayed() -> None:
     assert found["fallback_ticks"] >= 9  # bad measurements, references, limits
 
 
+def standing() -> Controller:
+    """Return a controller of a body that floats, stands on its one foot and swings two arms."""
+    model = pin.Model()
+    model.name = "stander"
+    base = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "base")
+    inertia = pin.Inertia(8.0, np.array([0.01, 0.02, 0.3]), np.diag([0.2, 0.2, 0.1]))
+    model.appendBodyToJoint(base, inertia, pin.SE3.Identity())
+    for name, side in (("left", 0.2), ("right", -0.2)):
+        shoulder = pin.SE3(np.eye(3), np.array([0.0, side, 0.6]))
+        arm = model.addJoint(base, pin.JointModelRY(), shoulder, name)
+        inertia = pin.Inertia(1.5, np.array([0.2, 0.0, 0.0]), np.diag([0.01, 0.02, 0.02]))
+        model.appendBodyToJoint(arm, inertia, pin.SE3.Identity())
+    down = pin.SE3(np.diag([1.0, -1.0, -1.0]), np.zeros(3))
+    model.addFrame(pin.Frame("sole", base, 0, down, pin.FrameType.OP_FRAME))
+    robot = from_pinocchio(model)
+    sole = TaskSpace("sole")
+    stand = Mode(
+        name="stand",
+        tasks=(Weighted(PostureTask(q_ref=robot.home)), Weighted(ForceTask(space=sole), 0.1)),
+        constraints=(Embedded(space=sole, X_WE=robot.pose(robot.home, "sole"), name="foot"),),
+        contact_limits=(Footprint(space=sole, half=(0.15, 0.1)),),
+        metric="home",
+    )
+    return Controller(robot, [stand])
+
+
+@needs_compiler
+def test_a_robot_that_floats_is_replayed_too() -> None:
+    controller = standing()
+    robot = controller.robot
+    assert (robot.nq, robot.nv, robot.nu) == (9, 8, 2)
+    recording = Recording(controller, "stand", robot.home)
+    memory, torques, bound = controller.start("stand", robot.home), [], 0
+    for i in range(60):
+        way = 0.02 * np.sin(0.1 * i + np.arange(robot.nv))
+        q = robot.integrate(robot.home, np.concatenate((np.zeros(6), way[6:])))
+        measurement = Measurement((i + 1) * DT, q, np.concatenate((np.zeros(6), 50 * way[6:])))
+        q_ref = robot.home + np.concatenate((np.zeros(7), [0.5 * (i > 20), 0.3]))
+        references = {"posture": PostureReference(q_ref=q_ref)}
+        command, report, memory = controller.step("stand", measurement, references, memory)
+        recording.add("stand", measurement, command)
+        torques.append(command.tau)
+        bound += report.limited
+    folder = write(controller, "stander")
+    (folder / RECORDING).write_bytes(recording.data())
+    code, found = replayed(folder)
+    assert (code, found["ticks"], found["fallback_ticks"]) == (0, 60, 0)
+    assert np.ptp(torques, axis=0).min() > 1.0
+    assert bound > 0
+
+
 @needs_compiler
 def test_a_replay_sees_a_gain_a_measurement_and_a_torque_that_were_changed(tmp_path: Path) -> None:
     folder, numbers = written(), np.fromfile(written() / RECORDING)
     layout = make().engines[TOUCHING].tick.inputs
-    first = 8 + layout.size + 7  # of the first tick: after the head, all inputs, configuration
+    first = 8 + layout.size + 7 + 7  # of the first tick: after head, inputs, configuration, torque
     gain = first + 4 + 7 + 7 + 7 + 3 + layout.place("motion.K_p").start + 3
     assert numbers[gain] == MotionTask(space=SPACE).K_p[3]  # around x, which is not constrained
     for changed in (gain, first + 4, first + 4 + 7 + 7):

@@ -7,7 +7,7 @@ import oracles_whole_body as whole
 import pinocchio as pin
 import pytest
 from cases import Given
-from cases_whole_body import bodies, body, unlimited
+from cases_whole_body import bodies, body, commands, unlimited
 
 from qpctrl import Controller, InputError, Measurement, Memory, Mode, Status, TaskSpace, Weighted
 from qpctrl.contact import ContactPhase, FrictionCone, MaxForce, WrenchLimit
@@ -287,3 +287,17 @@ def test_the_internal_force_of_the_oracle_is_that_of_opposite_pushes() -> None:
     e = way / np.linalg.norm(way)
     push = np.r_[one.X.rotation.T @ e, np.zeros(3)], np.r_[other.X.rotation.T @ -e, np.zeros(3)]
     assert E_1 @ push[0] + E_2 @ push[1] == pytest.approx(np.r_[e, np.zeros(3)], abs=1e-12)
+
+
+@pytest.mark.parametrize("law", ["qp", "hybrid"])
+def test_the_metric_of_where_the_robot_is_squeezes_as_well(law: Any) -> None:
+    of, rng = bodies()["grasp"], np.random.default_rng(2)
+    controller = Controller(unlimited(of.robot), [of.mode(metric="inertia")], law=law)
+    for _ in range(3):
+        q, v = of.state(rng)
+        memory = controller.start(of.model, q)
+        given = commands(of, rng).references(of)
+        command, report, _ = controller.step(of.model, Measurement(0.0, q, v), given, memory)
+        assert (report.status, report.limited) == (Status.OK, False)
+        assert report.law_gap < 1e-9
+        assert np.abs(command.tau).max() < 1e3

@@ -28,7 +28,7 @@ def modes_header(
     parts = [
         comment(f"Sizes, modes and inputs of the controller {name}; written by qpctrl export."),
         f"#ifndef {guard}\n#define {guard}\n",
-        comment(f"Order of q and v: {', '.join(robot.joint_names)}"),
+        *_orders(robot),
         comment(f"Order of tau: {', '.join(robot.actuator_names)}"),
         _enum((f"{NAME}_{key}", value) for key, value in fixed.items()),
         f"#define {NAME}_ACTIVE_DUAL {ACTIVE_DUAL!r}",
@@ -39,6 +39,13 @@ def modes_header(
         "#endif\n",
     ]
     return "\n".join(parts)
+
+
+def _orders(robot: Robot) -> list[str]:
+    """Return in which order configuration and velocities are."""
+    q, v = robot.configuration_names, robot.joint_names
+    orders = {"q and v": v} if q == v else {"q": q, "v": v}
+    return [comment(f"Order of {what}: {', '.join(names)}") for what, names in orders.items()]
 
 
 def mode_word(mode: ModeCode) -> str:

@@ -31,6 +31,7 @@ class Recording:
         robot, u = controller.robot, self._inputs(mode)
         head = [MARK, VERSION, robot.nq, robot.nv, robot.nu, len(self._number)]
         self._parts: list[Vector] = [np.array([*head, self._number[mode], len(u)]), u, q.copy()]
+        self._parts.append(controller.start(mode, q).tau.copy())
         self._before: tuple[str, Vector] | None = None
         self.ticks = self.fallback_ticks = 0
         self.modes: dict[str, None] = {}

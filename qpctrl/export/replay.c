@@ -6,7 +6,7 @@
  *
  * A recording holds nothing but doubles, in the byte order of the machine that wrote it:
  *     1234.5, version 2, NQ, NV, NU, number of modes
- *     at the start: mode, number of its inputs, these inputs, q (NQ)
+ *     at the start: mode, number of its inputs, these inputs, q (NQ), tau (NU) that holds there
  *     each step:    mode, time, contact closed (0 or 1), fallback (0 or 1), q (NQ), v (NV),
  *                   tau (NU), number of spans, and each span of inputs that changed:
  *                   its first input, its length, the inputs
@@ -119,7 +119,8 @@ static void start(reader *from, qpctrl_controller *c)
     for (int i = 0; i < n_u; ++i) {
         u[i] = values[i];
     }
-    if (qpctrl_start(c, mode, take(from, QPCTRL_NQ)) != 0) {
+    const double *q = take(from, QPCTRL_NQ), *tau = take(from, QPCTRL_NU);
+    if (qpctrl_start_from(c, mode, q, QPCTRL_NQ == QPCTRL_NV ? NULL : tau) != 0) {
         refuse("the controller cannot start there");
     }
 }

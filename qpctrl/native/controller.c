@@ -181,6 +181,11 @@ void qpctrl_init(qpctrl_controller *c)
 
 int qpctrl_start(qpctrl_controller *c, int mode, const double *q)
 {
+    return qpctrl_start_from(c, mode, q, NULL);
+}
+
+int qpctrl_start_from(qpctrl_controller *c, int mode, const double *q, const double *tau)
+{
     bind(c);
     if (!is_mode(mode)) {
         return QPCTRL_UNKNOWN_MODE;
@@ -190,15 +195,24 @@ int qpctrl_start(qpctrl_controller *c, int mode, const double *q)
             return QPCTRL_NOT_FINITE;
         }
     }
+    for (int i = 0; tau && i < QPCTRL_NU; ++i) {
+        if (!isfinite(tau[i])) {
+            return QPCTRL_NOT_FINITE;
+        }
+    }
     const qpctrl_mode *m = &qpctrl_modes[mode];
     const qpctrl_tick *t = &c->ticks[mode];
     const qpctrl_call *fallback = &t->fallback;
     copy(t->fallback_q, q, t->nq);
     fill(t->fallback_v, 0.0, t->nv);
     fallback->code(fallback->arg, fallback->res, fallback->iw, fallback->w, 0);
-    copy(t->u_tau_last, c->numbers + m->first + m->held, t->nu); /* no rate limit from nowhere */
-    fallback->code(fallback->arg, fallback->res, fallback->iw, fallback->w, 0);
-    copy(t->last, t->tau, t->nu);
+    if (tau) {
+        copy(t->last, tau, t->nu);
+    } else {
+        copy(t->u_tau_last, c->numbers + m->first + m->held, t->nu); /* no rate limit from nowhere */
+        fallback->code(fallback->arg, fallback->res, fallback->iw, fallback->w, 0);
+        copy(t->last, t->tau, t->nu);
+    }
     copy(t->last + t->nu, q, t->nq);
     copy(t->last + t->nu + t->nq, m->x, t->n_x);
     for (int i = 0; i < QPCTRL_MODES; ++i) {

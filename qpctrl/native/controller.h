@@ -77,6 +77,11 @@ void qpctrl_init(qpctrl_controller *c);
  * Returns 0, QPCTRL_UNKNOWN_MODE or QPCTRL_NOT_FINITE; nothing is changed by the latter two. */
 int qpctrl_start(qpctrl_controller *c, int mode, const double *q);
 
+/* The same for a robot that is held by `tau` (NU) [Nm] already, from which the first step goes on.
+ * A robot that floats needs it: `qpctrl_start` takes the least multipliers that carry it, whatever
+ * its contacts can bear. NULL is `qpctrl_start`. */
+int qpctrl_start_from(qpctrl_controller *c, int mode, const double *q, const double *tau);
+
 /* Write the torque (NU) [Nm] of this period to `tau` and return the outcome.
  *
  * Whatever goes wrong, `tau` holds a torque to send: above QPCTRL_LIMITED the fallback, which
