@@ -15,11 +15,12 @@ import polars as pl
 from qpctrl.arrays import non_negative, positive
 from qpctrl.errors import InputError
 from scenarios.panel import Panel
+from scenarios.parameter import need_within
 from scenarios.scenario import Criterion, Experiment, Options, Outcome
 from scenarios.video.run import Scene
 from scenarios.video.take import View
 from scenarios.whole_body.bimanual_guide import BoxGuide, BoxPlan
-from scenarios.whole_body.bimanual_metric import box_metrics
+from scenarios.whole_body.bimanual_metric import box_metrics, what_gave_way
 from scenarios.whole_body.bimanual_modes import REACH, Grip, box_modes
 from scenarios.whole_body.bimanual_panels import box_panels
 from scenarios.whole_body.bimanual_world import BOTTOM, CONTACTS, PADS, BoxWorld, build_box_world
@@ -28,6 +29,14 @@ DT = 1e-3  # s, the control period and the step of the plant
 SIZE = (0.08, 0.04, 0.05)  # m: half width, half depth and height of the eight
 RADIUS = 0.04  # m, of the ring on the table
 TIMES = 17.0  # s that all but eight and ring take at most
+ROOM = {
+    "height": (1e-3, 0.15, "m"),
+    "turn": (0.0, 30.0, "deg"),
+    "mass": (0.01, 100.0, "kg"),
+    "duration": (0.1, 600.0, "s"),
+    "friction": (0.0, 10.0, ""),
+    "table_friction": (0.0, 10.0, ""),
+}
 LIMITS = {
     "grasp_force_rmse_share": (0.03, "× set-point"),
     "force_rmse_share": (0.03, "× set-point"),
@@ -80,14 +89,7 @@ class Bimanual:
         for name in ("friction", "table_friction", "turn"):
             non_negative(getattr(self, name), (), name)
         positive(self.duration, (), "duration")
-        for name, most, unit in (
-            ("height", 0.15, "m"),
-            ("turn", 30.0, "deg"),
-            ("mass", 100.0, "kg"),
-            ("duration", 600.0, "s"),
-        ):
-            if getattr(self, name) > most:
-                raise InputError(f"{name}: got {getattr(self, name)}, need at most {most:g} {unit}")
+        need_within(self, ROOM)
         if self.squeeze > self.squeeze_max:
             raise InputError(
                 f"squeeze: got {self.squeeze:g} N, need at most squeeze_max, {self.squeeze_max:g} N"
@@ -155,6 +157,10 @@ class Bimanual:
         frames = [*(pad.frame for pad in PADS), BOTTOM.frame]
         forces = {f"contact.{name}": of for name, of in zip(CONTACTS, frames, strict=True)}
         return Scene(model=world.model, view=view, forces=forces, scale=-0.006)
+
+    def events(self, table: pl.DataFrame) -> tuple[str, ...]:
+        """Return in words what bound, slipped and ended the run, in the order of time."""
+        return what_gave_way(table, self.world())
 
     def panels(self, outcome: Outcome) -> tuple[Panel, ...]:
         """Return path and forces of the box, and what its contacts carry and have left."""

@@ -37,7 +37,7 @@ WITH_FORCE = (
     *("eraser", "gap", "edge", "conveyor", "sphere", "door", "drawer", "crank", "valve"),
     "press",
 )
-"""Scenarios with a metric ``force_rmse_N``."""
+"""Scenarios with a metric ``force_rmse_N`` that joints with drives can do."""
 
 FILES = ("summary.json", "report.html")
 """What the command leaves behind beside a folder for each actuator."""
@@ -165,7 +165,7 @@ def _scenario_name(arguments: list[str]) -> str:
         raise unknown_name("scenario", name, WITH_FORCE)
     if name not in WITH_FORCE:
         raise InputError(
-            f"scenario {name!r} has no metric force_rmse_N; those that have it: "
+            f"scenario {name!r} cannot be compared with drives; those that can: "
             f"{', '.join(WITH_FORCE)}"
         )
     return name

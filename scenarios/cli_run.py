@@ -120,6 +120,8 @@ def _print_outcome(outcome: Outcome, folder: Path) -> None:
         )
     out.print(f"[bold]{summary['scenario']}[/] {verdict}")
     out.print(table)
+    for event in summary.get("events", ()):
+        out.print(f"gave way: {event}", markup=False)
     if summary["config"]["actuator"] != "ideal":
         out.print(f"{summary['config']['actuator']} joints; the limits are those for ideal ones")
     metrics = {name: math.nan if v is None else v for name, v in summary["metrics"].items()}

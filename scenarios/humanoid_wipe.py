@@ -16,12 +16,13 @@ import polars as pl
 from qpctrl.arrays import Wrench, finite_array, non_negative, positive
 from qpctrl.errors import InputError
 from scenarios.panel import Panel
+from scenarios.parameter import need_within
 from scenarios.path import wiping_loops
 from scenarios.scenario import Criterion, Experiment, Options, Outcome
 from scenarios.video.run import Scene
 from scenarios.video.take import View
 from scenarios.whole_body.humanoid_guide import PUSH_TIME, RECOVER_TIME, HumanoidGuide, Stance
-from scenarios.whole_body.humanoid_metric import humanoid_metrics
+from scenarios.whole_body.humanoid_metric import humanoid_metrics, what_gave_way
 from scenarios.whole_body.humanoid_panels import humanoid_panels
 from scenarios.whole_body.humanoid_world import (
     FREE,
@@ -54,12 +55,14 @@ LIMITS = {
     "kkt_residual_max": (1e-8, ""),
     "fallback_ticks": (0.0, "ticks"),
 }
-MOST = {
-    "speed": (0.5, "m/s"),
-    "radius": (0.1, "m"),
-    "duration": (3600.0, "s"),
-    "force": (1000.0, "N"),
-    "push": (2000.0, "N"),
+ROOM = {
+    "speed": (1e-3, 0.5, "m/s"),
+    "radius": (1e-3, 0.1, "m"),
+    "duration": (0.0, 3600.0, "s"),
+    "force": (0.1, 1000.0, "N"),
+    "push": (0.0, 2000.0, "N"),
+    "friction": (0.0, 10.0, ""),
+    "ground_friction": (0.0, 10.0, ""),
 }
 
 
@@ -106,9 +109,7 @@ class HumanoidWipe:
             non_negative(getattr(self, name), (), name)
         for name in ("push_direction", "lift"):
             finite_array(getattr(self, name), (), name)
-        for name, (most, unit) in MOST.items():
-            if getattr(self, name) > most:
-                raise InputError(f"{name}: got {getattr(self, name)}, need at most {most:g} {unit}")
+        need_within(self, ROOM)
 
     def prepare(self, options: Options) -> Experiment:
         """Return the experiment, ready to run.
@@ -116,9 +117,10 @@ class HumanoidWipe:
         Raises:
             InputError: the soles are not on the ground, or joints are not ideal.
         """
+        world = self.world()
         if options.actuator != "ideal":
             raise InputError(f"actuator: got {options.actuator!r}, this scenario has 'ideal' alone")
-        world = self.world()
+        options.joints(world.robot, DT)
         gains = {name: getattr(self, name) for name in ("k_fp", "k_fi", "damping", "k_p", "k_d")}
         ramp = max(LEAST_RAMP, self.force / UNLOAD_TIME)
         modes = humanoid_modes(world, ramp=ramp, **gains)
@@ -182,6 +184,10 @@ class HumanoidWipe:
         view = View(azimuth=62.0, elevation=-12.0, distance=2.9, lookat=(x - 0.3, y, 0.75))
         forces = {f"contact.{sole}": sole for sole in SOLES} | {"contact.hand": HAND.frame}
         return Scene(model=world.model, view=view, forces=forces, scale=-0.002)
+
+    def events(self, table: pl.DataFrame) -> tuple[str, ...]:
+        """Return in words what bound, slipped, tipped and fell, in the order of time."""
+        return what_gave_way(table, self.world())
 
     def panels(self, outcome: Outcome) -> tuple[Panel, ...]:
         """Return path and force of the hand, contacts of the soles, centre of mass and torque."""

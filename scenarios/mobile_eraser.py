@@ -23,6 +23,7 @@ from qpctrl.space import TaskSpace
 from qpctrl.status import Status
 from scenarios.metric import column, wiping_metrics
 from scenarios.panel import Panel
+from scenarios.parameter import need_within
 from scenarios.path import advancing_loops
 from scenarios.plant_mujoco import MujocoPlant
 from scenarios.scenario import Criterion, Experiment, Options, Outcome
@@ -45,6 +46,13 @@ from scenarios.world import TOOL, Pad, World
 from tasks import EnergyTask, ForceTask, MotionTask, PostureTask
 
 SPACE = TaskSpace(TOOL)
+ROOM = {
+    "speed": (1e-3, 5.0, "m/s"),
+    "radius": (1e-3, 0.2, "m"),
+    "length": (0.01, np.inf, "m"),  # the board says where it ends
+    "force": (0.1, 1000.0, "N"),
+    "friction": (0.0, 10.0, ""),
+}
 BASE_SPACE = TaskSpace(CARRIAGE, ("vx", "vy", "wz"))
 DT = 1e-3  # s, the control period and the step of the plant
 EDGE_ROOM = 0.03  # m, from the middle of the pad to the edge of the board at least
@@ -114,9 +122,7 @@ class MobileEraser:
             positive(getattr(self, name), (), name)
         for name in ("friction", "force_noise", "k_fp", "k_fi", "damping", "k_p", "k_d"):
             non_negative(getattr(self, name), (), name)
-        for name, most, unit in (("speed", 5.0, "m/s"), ("radius", 0.2, "m")):
-            if getattr(self, name) > most:
-                raise InputError(f"{name}: got {getattr(self, name)}, need at most {most:g} {unit}")
+        need_within(self, ROOM)
         room = BOARD_LEFT - EDGE_ROOM - self.radius
         if self.length > room:
             raise InputError(f"length: got {self.length}, need at most {room:g} m: the board ends")
@@ -237,6 +243,11 @@ class MobileEraser:
         middle = (x - 0.3, y + self.length / 2, 0.7 * z)
         view = View(azimuth=25.0, elevation=-25.0, distance=3.2, lookat=middle)
         return Scene(model=world.model, view=view, forces={"wrench_meas": TOOL})
+
+    def events(self, table: pl.DataFrame) -> tuple[str, ...]:
+        """Return in words for how long each limit acted while wiping, the first to act first."""
+        acted = acting_limits(table.filter(pl.col("phase") == "wipe"), DT)
+        return tuple(f"{name.removeprefix(ACTS)}: {time:.3f} s" for name, time in acted.items())
 
     def panels(self, outcome: Outcome) -> tuple[Panel, ...]:
         """Return the path on the board, the base from above, force, and what limits leave."""

@@ -44,6 +44,7 @@ class BodiesPlant:
         Raises:
             InputError: no such body, frame or contact.
         """
+        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # or time runs backwards
         self.model, self.data = model, mujoco.MjData(model)
         self._coordinates = coordinates(model, robot)
         self._touches = tuple(touches)

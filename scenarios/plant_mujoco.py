@@ -118,6 +118,7 @@ def _scene(
 ) -> mujoco.MjModel:
     """Return the scene with what is given in the place of its own."""
     model = copy(world.model)
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # or time would run backwards
     if dt is not None:
         model.opt.timestep = float(positive(dt, (), "dt"))
     if board is not None:

@@ -18,7 +18,7 @@ from polars.exceptions import PolarsError
 from qpctrl.errors import InputError, reason_of
 from scenarios.record import write_parquet
 from scenarios.report import render_report
-from scenarios.scenario import Options, Outcome, Scenario
+from scenarios.scenario import Eventful, Options, Outcome, Scenario
 from scenarios.simulation import simulate
 
 FILES = ("summary.json", "ticks.parquet", "report.html")
@@ -60,6 +60,7 @@ def run_scenario(
         "scenario": scenario.name,
         "passed": all(criterion.passed for criterion in criteria),
         "criteria": [{**c._asdict(), "passed": c.passed} for c in criteria],
+        **({"events": scenario.events(table)} if isinstance(scenario, Eventful) else {}),
         "metrics": metrics,
         "config": {**dataclasses.asdict(scenario), **dataclasses.asdict(options)},  # type: ignore[call-overload]
         "seed": options.seed,

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple, Protocol
+from typing import Any, Literal, NamedTuple, Protocol, runtime_checkable
 
 import polars as pl
 
@@ -136,6 +136,14 @@ class Outcome:
     def passed(self) -> bool:
         """Whether every criterion of the scenario holds."""
         return bool(self.summary["passed"])
+
+
+@runtime_checkable
+class Eventful(Protocol):
+    """A scenario that says in words what happened in a run."""
+
+    def events(self, table: pl.DataFrame) -> tuple[str, ...]:
+        """Return what gave way, in the order of time."""
 
 
 class Scenario(Protocol):

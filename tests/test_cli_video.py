@@ -11,12 +11,15 @@ from PIL import Image
 
 from qpctrl import InputError
 from scenarios import cli_run
+from scenarios.bimanual import Bimanual
 from scenarios.catalogue import SCENARIOS
 from scenarios.edge import Edge
 from scenarios.eraser import Eraser
 from scenarios.gap import Gap
+from scenarios.humanoid_wipe import HumanoidWipe
+from scenarios.mobile_eraser import MobileEraser
 from scenarios.run import run_scenario
-from scenarios.scenario import Options
+from scenarios.scenario import Options, Outcome
 from scenarios.video.run import Filmed, film_run
 
 FPS, SIZE = 2.0, (160, 120)
@@ -40,6 +43,28 @@ def test_a_scenario_on_a_board_can_be_filmed(scenario: Any, tmp_path: Path) -> N
     red = np.array([(f[..., 0] - f[..., 1:].max(axis=2) > 60).sum() for f in frames])
     assert red[~touching].max() < red[touching].max()
     assert np.mean([(a != b).any() for a, b in itertools.pairwise(frames)]) > 0.5
+
+
+@pytest.mark.parametrize(
+    "scenario", [MobileEraser(), Bimanual(), HumanoidWipe()], ids=lambda scenario: scenario.name
+)
+def test_a_whole_body_is_seen_with_the_forces_of_its_contacts(
+    scenario: Any, tmp_path: Path
+) -> None:
+    experiment = scenario.prepare(Options(compiled="no"))
+    outcome = Outcome(experiment=experiment, table=pl.DataFrame(), summary={})
+    scene, robot = scenario.scene(outcome), experiment.robot
+    state = experiment.plant.reset(experiment.q_start)
+    row = dict(zip([f"q.{n}" for n in robot.configuration_names], state.q, strict=True))
+    red = []
+    for size in (0.0, 40.0):
+        forces = {f"{name}.f{axis}": size for name in scene.forces for axis in "xyz"}
+        film_run(tmp_path / "one.png", scene, robot, pl.DataFrame({"time": [0.0], **row, **forces}))
+        with Image.open(tmp_path / "one.png") as image:
+            picture = np.asarray(image.convert("RGB")).astype(int)
+        assert picture.std() > 20  # there is something to see
+        red.append(int((picture[..., 0] - picture[..., 1:].max(axis=2) > 60).sum()))
+    assert red[1] > red[0] + 20
 
 
 def test_the_board_is_seen_to_fall(tmp_path: Path) -> None:

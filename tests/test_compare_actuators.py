@@ -376,7 +376,7 @@ def typed(*arguments: str) -> int:
     [
         ((), "missing SCENARIO"),
         (("erasr",), "did you mean 'eraser'"),
-        (("haptic",), "has no metric force_rmse_N; those that have it: eraser, gap"),
+        (("haptic",), "cannot be compared with drives; those that can: eraser, gap"),
         (("eraser", "--forc", "3"), "did you mean '--force'"),
         (("eraser", "--drives", "orange-geared"), "unknown flag '--drives'"),
         (("eraser", "--duration", "-1"), "duration: got -1.0"),

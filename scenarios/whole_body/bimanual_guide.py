@@ -166,7 +166,7 @@ class BoxGuide:
         if step.mode == REACH:
             return Directive(step.name, step.mode, self._free(step, t, state))
         place = _from(self._sunk, step.path(t), t)
-        if np.linalg.norm(self._bottom(state) - place.p) > LOST:
+        if not np.linalg.norm(self._bottom(state) - place.p) <= LOST:  # nor where it is no number
             return None
         force = 0.5 * float(state.contacts[0][2] + state.contacts[1][2])
         references: dict[str, Reference] = {

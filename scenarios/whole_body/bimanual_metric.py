@@ -123,13 +123,18 @@ def _of_forces(
     }
 
 
+PATH = ("object_path_rmse_mm", "object_path_max_mm", "object_turn_rmse_deg")
+"""What says how well the box followed its path."""
+
+
 def _of_path(table: pl.DataFrame) -> dict[str, float]:
     flown = table.filter((pl.col("mode") == CARRY) & ~pl.col("phase").is_in(LANDING))
     slid = table.filter(pl.col("mode") == SLIDE)
     if flown.is_empty():
-        names = ("object_path_rmse_mm", "object_path_max_mm", "object_turn_rmse_deg")
-        return dict.fromkeys(names, float("nan"))
+        return dict.fromkeys(PATH, float("nan"))
     air, ground = _pose_error(flown), _pose_error(slid)
+    if not np.isfinite(air).any():
+        return dict.fromkeys(PATH, float("nan"))
     ground[:, 2] = 0.0  # the table's business
     place = np.vstack([air[:, :3], ground[:, :3]])
     return {

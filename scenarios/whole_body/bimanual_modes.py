@@ -52,7 +52,7 @@ class Grip:
 
 
 def box_modes(world: BoxWorld, grip: Grip, gains: Gains | None = None) -> tuple[Mode, ...]:
-    """Return the three modes."""
+    """Return the modes: reach, stand, carry and slide."""
     gains = gains or Gains()
     press = ForceTask(
         space=BOTTOM,

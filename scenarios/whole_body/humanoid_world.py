@@ -45,8 +45,6 @@ class HumanoidWorld:
     """Wall frame where the hand will touch, z into the wall."""
     soles: tuple[CarryingContact, ...]
     """The soles, as they are."""
-    hand: CarryingContact
-    """The ball at the hand, as it is."""
     start: Vector
     """Configuration (nq) in which the soles carry the weight [m, rad]."""
 
@@ -79,7 +77,6 @@ def humanoid_world(
             CarryingContact(name, ground_friction, (float(half[0]), float(half[1])))
             for name in SOLES
         ),
-        hand=CarryingContact("hand", friction),
         start=_lifted(robot, lift),
     )
 

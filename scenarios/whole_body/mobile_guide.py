@@ -18,8 +18,6 @@ from tasks import ForceReference, MotionReference, PostureReference
 
 LOOSEN_TIME = 0.03  # s, in which the force that still counts as contact goes
 FADE_TIME = 0.4  # s, in which the reference of lifting leaves the depth of the felt behind
-
-
 GIVE_UP = 0.005  # m from its reference, beyond which the eraser is left behind
 HOLD_TIME = 0.5  # s, from giving up to the end
 BRAKE = {"K_p": np.zeros(6), "K_d": np.full(6, 10.0)}  # 1/s² and 1/s, of a tool that stops
