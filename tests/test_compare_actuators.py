@@ -405,7 +405,8 @@ def test_the_scenarios_with_a_force_error_are_known() -> None:
         source = Path(sys.modules[SCENARIOS[name].__module__].__file__ or "").read_text("utf-8")
         return any(words in source for words in given)
 
-    assert {name for name in SCENARIOS if reports(name)} == set(WITH_FORCE)
+    # no series-elastic drive is strong enough for the base of mobile_eraser
+    assert {name for name in SCENARIOS if reports(name)} == {*WITH_FORCE, "mobile_eraser"}
 
 
 def test_every_change_has_its_words() -> None:
