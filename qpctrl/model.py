@@ -33,7 +33,6 @@ from qpctrl.space import (
     FrameMotion,
     SpaceTerms,
     TaskSpace,
-    mobility_at_home,
     terms_at_home,
     terms_here,
 )
@@ -138,8 +137,7 @@ class ModeModel:
         spaces = _spaces(self.mode)
         if self.mode.metric == "inertia":
             return {s: terms_here(s, self.dynamics, self.M_factor, self.u["mu"]) for s in spaces}
-        mobility = mobility_at_home(self.dynamics, self.robot.home, spaces)
-        return {s: terms_at_home(s, self.dynamics, mobility[s]) for s in spaces}
+        return terms_at_home(spaces, self.dynamics, self.robot.home)
 
     def _split(self, space: TaskSpace) -> Split:
         terms = self.spaces[space]

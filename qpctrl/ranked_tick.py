@@ -19,13 +19,13 @@ class RankedTick:
     def __init__(self, parts: TickParts, solver: Solver) -> None:
         self._terms, self._qp = parts.terms, parts.qp
         n, m, r = (len(values) for values in parts.point)
-        self._m, self._r = m, r
+        self._m = m
         self._priorities = Priorities(n, m, r, solver)
         self.pressing = np.zeros(r)
         self._open = np.full(r, UNBOUNDED)
-        upper = [f"{{}}_{i}" for i in range(parts.upper_levels)]
-        names = [tuple(name.format(part) for part in "HgG") for name in upper]
-        self._upper = [Level(*(self._terms[part] for part in parts)) for parts in names]
+        upper = range(parts.upper_levels)
+        levels = [Level(*(self._terms[f"{part}_{i}"] for part in "HgG")) for i in upper]
+        self._levels = [*levels, Level(self._qp.H, self._qp.g, np.eye(n))]
 
     def solve(self) -> tuple[Solution, float, bool]:
         """Return the solution, the largest residual of all levels, and whether no limit binds.
@@ -33,8 +33,7 @@ class RankedTick:
         ``x_eq`` in the buffers is the solution without limits afterwards, and `pressing` the duals
         of the limits, each that of the highest level at which it presses.
         """
-        qp = self._qp
-        levels = [*self._upper, Level(qp.H, qp.g, np.eye(len(qp.g)))]
+        qp, levels = self._qp, self._levels
         found = self._priorities.solve(levels, qp.A, qp.b, qp.C, -self._open, self._open)
         self._terms["x_eq"][:] = found.solution.x
         Cx = qp.C @ found.solution.x

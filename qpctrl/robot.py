@@ -119,19 +119,18 @@ class Robot:
     @property
     def joint_names(self) -> tuple[str, ...]:
         """Names of the velocities: of the joint, or ``BODY.vx`` to ``BODY.wz`` where it floats."""
-        names: list[str] = []
-        for joint in list(self.model.joints)[1:]:
-            name = str(self.model.names[joint.id])
-            names += [f"{name}.{axis}" for axis in AXES] if floats(joint) else [name]
-        return tuple(names)
+        return self._named(AXES)
 
     @property
     def configuration_names(self) -> tuple[str, ...]:
         """Names of the entries of q: of the joint; ``BODY.px`` to ``BODY.qw`` where it floats."""
+        return self._named(POSE)
+
+    def _named(self, parts: tuple[str, ...]) -> tuple[str, ...]:
         names: list[str] = []
         for joint in list(self.model.joints)[1:]:
             name = str(self.model.names[joint.id])
-            names += [f"{name}.{part}" for part in POSE] if floats(joint) else [name]
+            names += [f"{name}.{part}" for part in parts] if floats(joint) else [name]
         return tuple(names)
 
     @property

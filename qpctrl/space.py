@@ -132,40 +132,42 @@ def terms_here(space: TaskSpace, dynamics: Dynamics, M_factor: Factor, mu: SX) -
     return SpaceTerms(space, motion, J, drift, Lambda_inv, Lambda, inertia, none, left)
 
 
-def terms_at_home(space: TaskSpace, dynamics: Dynamics, Lambda_inv: Matrix) -> SpaceTerms:
-    """Return the terms with a constant inertia, whose inverse (n×n) `mobility_at_home` finds."""
-    motion, J_full, drift = _kinematics(space, dynamics)
-    J, Lambda = J_full[space.index, :], np.linalg.inv(Lambda_inv)
-    root = ca.sparsify(ca.SX(np.linalg.cholesky(Lambda).T)) @ J
-    drift, none = ca.densify(drift[space.index]), ca.SX(0, 0)
-    metric = ca.SX(Lambda_inv), ca.SX(Lambda)
-    return SpaceTerms(space, motion, J, drift, *metric, none, root, ca.SX(0, 1))
+def terms_at_home(
+    spaces: Iterable[TaskSpace], dynamics: Dynamics, home: Vector
+) -> dict[TaskSpace, SpaceTerms]:
+    """Return the terms of each space with a constant inertia, that at ``home`` (nq).
 
-
-def mobility_at_home(
-    dynamics: Dynamics, home: Vector, spaces: Iterable[TaskSpace]
-) -> dict[TaskSpace, Matrix]:
-    """Return J M⁻¹ Jᵀ (n×n) of each space at ``home`` (nq).
-
-    No eigenvalue is below `LEAST_MOBILITY` of the largest: a home that is singular still gives a
-    metric.
+    No eigenvalue of its mobility J M⁻¹ Jᵀ is below `LEAST_MOBILITY` of the largest: a home that is
+    singular still gives a metric.
 
     Raises:
         InputError: a frame is fixed to what it is seen from.
     """
-    spaces = tuple(spaces)
-    rows = [_kinematics(space, dynamics)[1][space.index, :] for space in spaces]
-    terms = ca.Function("home", [dynamics.q], [dynamics.M, *(ca.densify(J) for J in rows)])
-    M, *found = (np.array(term) for term in terms.call([ca.DM(home)]))
-    mobility = {}
-    for space, J in zip(spaces, found, strict=True):
-        values, vectors = np.linalg.eigh(J @ np.linalg.solve(M, J.T))
-        if not values[-1] > IMMOBILE:
-            seen = f" seen from {space.relative_to!r}" if space.relative_to else ""
-            raise InputError(f"task space: frame {space.frame!r} does not move{seen}")
-        kept = np.maximum(values, LEAST_MOBILITY * values[-1])
-        mobility[space] = (vectors * kept) @ vectors.T
-    return mobility
+    moved = {space: _kinematics(space, dynamics) for space in spaces}
+    rows = {space: J_full[space.index, :] for space, (_, J_full, _) in moved.items()}
+    here = ca.Function("home", [dynamics.q], [dynamics.M, *map(ca.densify, rows.values())])
+    M, *found = (np.array(term) for term in here.call([ca.DM(home)]))
+    terms = {}
+    for (space, (motion, _, drift)), J_home in zip(moved.items(), found, strict=True):
+        Lambda_inv = _metric(space, J_home @ np.linalg.solve(M, J_home.T))
+        Lambda, J = np.linalg.inv(Lambda_inv), rows[space]
+        root = ca.sparsify(ca.SX(np.linalg.cholesky(Lambda).T)) @ J
+        constants = ca.SX(Lambda_inv), ca.SX(Lambda)
+        none, left = ca.SX(0, 0), ca.SX(0, 1)
+        drift = ca.densify(drift[space.index])
+        terms[space] = SpaceTerms(space, motion, J, drift, *constants, none, root, left)
+    return terms
+
+
+def _metric(space: TaskSpace, mobility: Matrix) -> Matrix:
+    """Return a mobility (n×n) with all eigenvalues raised to what a metric needs."""
+    values, vectors = np.linalg.eigh(mobility)
+    if not values[-1] > IMMOBILE:
+        seen = f" seen from {space.relative_to!r}" if space.relative_to else ""
+        raise InputError(f"task space: frame {space.frame!r} does not move{seen}")
+    kept = np.maximum(values, LEAST_MOBILITY * values[-1])
+    raised: Matrix = (vectors * kept) @ vectors.T
+    return raised
 
 
 def _kinematics(space: TaskSpace, dynamics: Dynamics) -> tuple[FrameMotion, SX, SX]:

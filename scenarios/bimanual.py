@@ -16,7 +16,7 @@ from qpctrl.arrays import non_negative, positive
 from qpctrl.errors import InputError
 from scenarios.panel import Panel
 from scenarios.parameter import need_within
-from scenarios.scenario import Criterion, Experiment, Options, Outcome
+from scenarios.scenario import Criterion, Experiment, Options, Outcome, criteria
 from scenarios.video.run import Scene
 from scenarios.video.take import View
 from scenarios.whole_body.bimanual_guide import BoxGuide, BoxPlan
@@ -144,10 +144,7 @@ class Bimanual:
 
     def judge(self, metrics: Mapping[str, float]) -> tuple[Criterion, ...]:
         """Return the scenario's own criteria on its metrics."""
-        return tuple(
-            Criterion(name, metrics.get(name, float("nan")), limit, unit)
-            for name, (limit, unit) in LIMITS.items()
-        )
+        return criteria(metrics, LIMITS)
 
     def scene(self, outcome: Outcome) -> Scene:
         """Return arms, box and table."""
@@ -164,4 +161,4 @@ class Bimanual:
 
     def panels(self, outcome: Outcome) -> tuple[Panel, ...]:
         """Return path and forces of the box, and what its contacts carry and have left."""
-        return box_panels(outcome.table, self.world())
+        return box_panels(outcome, self.world())

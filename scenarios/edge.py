@@ -19,7 +19,7 @@ from qpctrl.mode import Mode
 from qpctrl.objective import Weighted
 from qpctrl.space import TaskSpace
 from scenarios.metric import column, rms, tick_metrics, whole_run_metrics
-from scenarios.panel import Panel
+from scenarios.panel import Panel, step_panel
 from scenarios.plant_mujoco import MujocoPlant
 from scenarios.report_trace import Curve, curve_figure
 from scenarios.robot_file import load_robot
@@ -166,7 +166,6 @@ class Edge:
         ]
         edge = np.full(len(table), 1e3 * HALF_WIDTH)
         centres = [Curve("measured", 1e3 * seen.centre), Curve("edge", edge, dashed=True)]
-        steps = np.concatenate([np.zeros(1), torque_steps(table, load_robot(self.robot))])
         return (
             Panel(
                 "tilt",
@@ -188,12 +187,7 @@ class Edge:
                 "Robot on board: along the normal of the board, and along x and y of the tool.",
                 curve_figure(table, "force", "N", forces),
             ),
-            Panel(
-                "step",
-                "Step of torque from tick to tick",
-                "The largest of all joints, over what the torque-rate limit allows in one tick.",
-                curve_figure(table, "torque step", "× limit", [Curve("largest step", steps)]),
-            ),
+            step_panel(table, load_robot(self.robot)),
         )
 
 

@@ -20,6 +20,7 @@ from qpctrl.space import TaskSpace
 from scenarios.joint_level import JointLevel
 from scenarios.metric import wiping_metrics
 from scenarios.panel import Panel, board_panels
+from scenarios.parameter import need_within
 from scenarios.plant import SteppedPlant
 from scenarios.plant_mujoco import MujocoPlant
 from scenarios.plant_rigid import RigidPlant
@@ -75,9 +76,7 @@ class Eraser:
     def __post_init__(self) -> None:
         for name in ("force", "speed", "duration"):
             positive(getattr(self, name), (), name)
-        for name, most, unit in (("duration", 3600.0, "s"), ("speed", 5.0, "m/s")):
-            if getattr(self, name) > most:
-                raise InputError(f"{name}: got {getattr(self, name)}, need at most {most:g} {unit}")
+        need_within(self, {"duration": (0.0, 3600.0, "s"), "speed": (0.0, 5.0, "m/s")})
         for name in ("friction", "force_noise", "k_fp", "k_fi", "damping", "k_p", "k_i", "k_d"):
             value = getattr(self, name)
             if not (np.isfinite(value) and value >= 0):

@@ -24,7 +24,7 @@ from scenarios.path import glide
 from scenarios.plant import PlantState
 from scenarios.plant_rigid import RigidPlant
 from scenarios.robot_file import load_robot
-from scenarios.scenario import Criterion, Directive, Experiment, Options
+from scenarios.scenario import Criterion, Directive, Experiment, Options, criteria
 from tasks import ForceReference, ForceTask, MotionReference, MotionTask, PostureTask
 
 FLANGE = TaskSpace("flange")
@@ -261,10 +261,7 @@ def guided_criteria(
 ) -> tuple[Criterion, ...]:
     """Return the scenario's own ``limits`` (value and unit by metric), and those of every job."""
     every = {"qp_law_gap_max": (1e-8, "× max |τ|"), "fallback_ticks": (0.0, "ticks")}
-    return tuple(
-        Criterion(name, metrics.get(name, float("nan")), limit, unit)
-        for name, (limit, unit) in {**limits, **every}.items()
-    )
+    return criteria(metrics, {**limits, **every})
 
 
 def axis_frame(origin: Vector, z: Vector, x: Vector) -> pin.SE3:

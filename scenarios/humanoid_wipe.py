@@ -18,7 +18,7 @@ from qpctrl.errors import InputError
 from scenarios.panel import Panel
 from scenarios.parameter import need_within
 from scenarios.path import wiping_loops
-from scenarios.scenario import Criterion, Experiment, Options, Outcome
+from scenarios.scenario import Criterion, Experiment, Options, Outcome, criteria
 from scenarios.video.run import Scene
 from scenarios.video.take import View
 from scenarios.whole_body.humanoid_guide import PUSH_TIME, RECOVER_TIME, HumanoidGuide, Stance
@@ -172,10 +172,7 @@ class HumanoidWipe:
 
     def judge(self, metrics: Mapping[str, float]) -> tuple[Criterion, ...]:
         """Return the scenario's own criteria on its metrics."""
-        return tuple(
-            Criterion(name, metrics.get(name, float("nan")), limit, unit)
-            for name, (limit, unit) in LIMITS.items()
-        )
+        return criteria(metrics, LIMITS)
 
     def scene(self, outcome: Outcome) -> Scene:
         """Return the humanoid in front of the wall; the forces are those on the humanoid."""
@@ -191,7 +188,7 @@ class HumanoidWipe:
 
     def panels(self, outcome: Outcome) -> tuple[Panel, ...]:
         """Return path and force of the hand, contacts of the soles, centre of mass and torque."""
-        return humanoid_panels(outcome.table, outcome.experiment.geometry, self.world())
+        return humanoid_panels(outcome, self.world())
 
     def _shove(self) -> Wrench:
         angle = np.radians(self.push_direction)

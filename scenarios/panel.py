@@ -7,10 +7,12 @@ import numpy as np
 import polars as pl
 
 from qpctrl.arrays import Array
+from qpctrl.robot import Robot
 from scenarios import report_figure as draw
 from scenarios.report_style import Figure, column
 from scenarios.report_torque import torque_figure, torque_words
 from scenarios.report_trace import Curve, curve_figure, plane_figure, wrench_figure
+from scenarios.torque_step import torque_steps
 
 
 class Panel(NamedTuple):
@@ -93,6 +95,17 @@ def environment_panels(
             "Desired − actual, as a rotation vector in the axes of the tool.",
             curve_figure(table, "orientation error", "deg", turn),
         ),
+    )
+
+
+def step_panel(table: pl.DataFrame, robot: Robot) -> Panel:
+    """Return the picture of how far torques step from tick to tick."""
+    steps = np.concatenate([np.zeros(1), torque_steps(table, robot)])
+    return Panel(
+        "step",
+        "Step of torque from tick to tick",
+        "The largest of all joints, over what the torque-rate limit allows in one tick.",
+        curve_figure(table, "torque step", "× limit", [Curve("largest step", steps)]),
     )
 
 

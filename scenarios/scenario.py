@@ -70,6 +70,16 @@ class Criterion(NamedTuple):
         return bool(self.value <= self.limit)
 
 
+def criteria(
+    metrics: Mapping[str, float], limits: Mapping[str, tuple[float, str]]
+) -> tuple[Criterion, ...]:
+    """Return a condition for each of ``limits`` (value and unit by metric); a missing one fails."""
+    return tuple(
+        Criterion(name, metrics.get(name, float("nan")), limit, unit)
+        for name, (limit, unit) in limits.items()
+    )
+
+
 @dataclass(frozen=True, kw_only=True)
 class Options:
     """How to run any scenario."""

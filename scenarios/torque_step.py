@@ -5,12 +5,11 @@ import polars as pl
 
 from qpctrl.arrays import Matrix, Vector
 from qpctrl.robot import Robot
-from scenarios.metric import column
 
 
 def torque_steps(table: pl.DataFrame, robot: Robot) -> Vector:
     """Return the largest change of torque (ticks − 1) from tick to tick, over its limit."""
-    allowed = robot.limits.tau_rate * np.diff(column(table, "time"))[:, None]
+    allowed = robot.limits.tau_rate * np.diff(table["time"].to_numpy())[:, None]
     steps = np.abs(np.diff(_torques(table, robot), axis=0)) / allowed
     return np.asarray(steps.max(axis=1, initial=0.0))
 

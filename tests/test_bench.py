@@ -17,7 +17,7 @@ from qpctrl.evaluator import Evaluator
 from scenarios.bench.course import DT, contact_mode, course
 from scenarios.bench.goal import goals
 from scenarios.bench.growth import fitted_power, growth, in_the_way, power
-from scenarios.bench.humanoid import HAND, HUMANOID, ROWS, SOLES, humanoid, standing_course
+from scenarios.bench.humanoid import HUMANOID, ROWS, SOLES, humanoid, standing_course
 from scenarios.bench.page import render_page
 from scenarios.bench.part_trial import PartTrial, calls_of, dynamics_function
 from scenarios.bench.plan import Plan
@@ -30,6 +30,7 @@ from scenarios.bench.suite import Suite, add_case
 from scenarios.bench.timing import Rounds, one_core, ratio, take_turns, timing, turns
 from scenarios.cli_bench import bench_command
 from scenarios.robot_file import load_robot
+from scenarios.whole_body.humanoid_world import HAND
 
 ROUND_OFF = 1e-12
 """Two double-precision evaluations of M and h, over their largest entry."""

@@ -17,6 +17,7 @@ from qpctrl.status import Status
 from scenarios.bench.course import DT, Moment
 from scenarios.plant_model import robot_from_mujoco
 from scenarios.robot_file import MODELS
+from scenarios.whole_body.humanoid_world import HAND, TORSO
 from tasks import (
     CentreOfMassReference,
     CentreOfMassTask,
@@ -37,7 +38,6 @@ FRICTION, HALF = 0.7, (0.1, 0.04)
 SIDES = 4
 """Of each friction pyramid, as many as TSID's."""
 
-HAND, TORSO = TaskSpace("right_hand"), TaskSpace("torso", ("wx", "wy", "wz"))
 SOLES = {side: TaskSpace(f"{side}_sole") for side in ("left", "right")}
 
 

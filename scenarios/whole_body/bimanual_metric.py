@@ -12,13 +12,7 @@ from scenarios.report_style import column as column_or_none
 from scenarios.torque_step import torque_metrics
 from scenarios.whole_body.bimanual_modes import CARRY, SLIDE
 from scenarios.whole_body.bimanual_world import PADS, SIDES, BoxWorld
-from scenarios.whole_body.contact import (
-    LEAST_FORCE,
-    centre_of_pressure,
-    friction_margin,
-    pressure_margin,
-    true_wrench,
-)
+from scenarios.whole_body.contact import face_metrics, solved_pose_errors
 
 PHASES = (
     *("reach", "squeeze", "unload", "lift", "carry", "over", "lower", "land"),
@@ -132,7 +126,7 @@ def _of_path(table: pl.DataFrame) -> dict[str, float]:
     slid = table.filter(pl.col("mode") == SLIDE)
     if flown.is_empty():
         return dict.fromkeys(PATH, float("nan"))
-    air, ground = _pose_error(flown), _pose_error(slid)
+    air, ground = solved_pose_errors(flown), solved_pose_errors(slid)
     if not np.isfinite(air).any():
         return dict.fromkeys(PATH, float("nan"))
     ground[:, 2] = 0.0  # the table's business
@@ -148,21 +142,9 @@ def _of_pads(table: pl.DataFrame, world: BoxWorld) -> dict[str, float]:
     if table.is_empty():
         names = ("slip_max_mm", "friction_margin_min_N", "cop_margin_min_mm")
         return dict.fromkeys((*names, "friction_used_max", "pressure_used_max"), float("nan"))
-    friction, pressure, used, moved = [], [], [], []
-    for pad in world.contacts[:2]:
-        wrench, half = true_wrench(table, pad), np.array(pad.half)
-        cone = pad.friction * np.maximum(wrench[:, 2], LEAST_FORCE)
-        used.append(np.linalg.norm(wrench[:, :2], axis=1) / cone)
-        friction.append(friction_margin(wrench, pad))
-        centre = np.abs(centre_of_pressure(wrench))
-        moved.append(np.nan_to_num((centre / half).max(axis=1), nan=1.0))  # off the box: none left
-        pressure.append(np.nan_to_num(pressure_margin(wrench, pad), nan=0.0))
     return {
         "slip_max_mm": 1e3 * float(pad_motion(table, world.robot).max()),
-        "friction_margin_min_N": float(np.min(friction)),
-        "cop_margin_min_mm": 1e3 * float(np.min(pressure)),
-        "friction_used_max": float(np.max(used)),
-        "pressure_used_max": float(np.max(moved)),
+        **face_metrics(table, world.contacts[:2]),
     }
 
 
@@ -173,13 +155,6 @@ def _of_limits(table: pl.DataFrame) -> dict[str, float]:
         sides = [column_or_none(table, f"margin.{side} {limit}") < AT_ZERO for side in SIDES]
         found[f"pad_{limit}_limit_ticks"] = float(np.logical_or(*sides).sum())
     return found
-
-
-def _pose_error(table: pl.DataFrame) -> Matrix:
-    """Return the pose error of the box [m, rad] at the ticks that have a solution, one a row."""
-    pose = np.stack([column_or_none(table, f"motion.X_e.{i}") for i in range(6)], axis=1)
-    solved: Matrix = pose[np.isfinite(pose).all(axis=1)]
-    return solved
 
 
 def _rms(values: Vector) -> float:

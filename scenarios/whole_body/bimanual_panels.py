@@ -6,24 +6,22 @@ import numpy as np
 import polars as pl
 
 from scenarios import report_style as style
-from scenarios.panel import Panel
+from scenarios.panel import Panel, step_panel
 from scenarios.report_style import Figure, column, trace
 from scenarios.report_trace import Curve, curve_figure
-from scenarios.torque_step import torque_steps
-from scenarios.whole_body.bimanual_metric import internal_force, what_gave_way
+from scenarios.scenario import Outcome
+from scenarios.whole_body.bimanual_metric import internal_force
 from scenarios.whole_body.bimanual_world import BoxWorld
-from scenarios.whole_body.contact_panels import contact_panels
+from scenarios.whole_body.contact_panels import contact_panels, in_words
 
 
-def box_panels(table: pl.DataFrame, world: BoxWorld) -> tuple[Panel, ...]:
+def box_panels(outcome: Outcome, world: BoxWorld) -> tuple[Panel, ...]:
     """Return path and forces of the box, and what its contacts carry and have left."""
-    events = what_gave_way(table, world)
-    words = f"In the order of time: {'; '.join(events)}." if events else "Nothing gave way."
+    table, words = outcome.table, in_words(outcome.summary["events"])
     error = [
         Curve(f"along {axis}", 1e3 * column(table, f"motion.X_e.{i}"))
         for i, axis in enumerate("xyz")
     ]
-    steps = np.concatenate([np.zeros(1), torque_steps(table, world.robot)])
     return (
         Panel(
             "path",
@@ -47,12 +45,7 @@ def box_panels(table: pl.DataFrame, world: BoxWorld) -> tuple[Panel, ...]:
             force_figure(table),
         ),
         *contact_panels(table, world.contacts, words),
-        Panel(
-            "step",
-            "Step of torque from tick to tick",
-            "The largest of all joints, over what the torque-rate limit allows in one tick.",
-            curve_figure(table, "torque step", "× limit", [Curve("largest step", steps)]),
-        ),
+        step_panel(table, world.robot),
     )
 
 

@@ -1,5 +1,6 @@
 """What a record says of the contacts of a whole body: how near each came to slipping or tipping."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -50,3 +51,32 @@ def pressure_margin(wrench: Matrix, contact: CarryingContact) -> Vector:
         return np.full(len(wrench), np.nan)
     left: Vector = (np.array(contact.half) - np.abs(centre_of_pressure(wrench))).min(axis=1)
     return left
+
+
+def face_metrics(table: pl.DataFrame, faces: Sequence[CarryingContact]) -> dict[str, float]:
+    """Return the least that faces had left of friction and footprint, and the most they used.
+
+    A face in the air has no way left to its edge.
+    """
+    friction, pressure, used, moved = [], [], [], []
+    for face in faces:
+        wrench, half = true_wrench(table, face), np.array(face.half)
+        cone = face.friction * np.maximum(wrench[:, 2], LEAST_FORCE)
+        used.append(np.linalg.norm(wrench[:, :2], axis=1) / cone)
+        friction.append(friction_margin(wrench, face))
+        centre = np.abs(centre_of_pressure(wrench))
+        moved.append(np.nan_to_num((centre / half).max(axis=1), nan=1.0))
+        pressure.append(np.nan_to_num(pressure_margin(wrench, face), nan=0.0))
+    return {
+        "friction_margin_min_N": float(np.min(friction)),
+        "cop_margin_min_mm": 1e3 * float(np.min(pressure)),
+        "friction_used_max": float(np.max(used)),
+        "pressure_used_max": float(np.max(moved)),
+    }
+
+
+def solved_pose_errors(table: pl.DataFrame) -> Matrix:
+    """Return the pose error of task ``motion`` [m, rad] at ticks with a solution, one a row."""
+    pose = np.stack([column(table, f"motion.X_e.{i}") for i in range(6)], axis=1)
+    solved: Matrix = pose[np.isfinite(pose).all(axis=1)]
+    return solved

@@ -22,6 +22,11 @@ HALF_WIDTH = 420  # pixels of a plot that stands beside another
 ABOVE = 0.25  # of the face drawn around it
 
 
+def in_words(events: Sequence[str]) -> str:
+    """Return what gave way in a sentence."""
+    return f"In the order of time: {'; '.join(events)}." if events else "Nothing gave way."
+
+
 def contact_panels(
     table: pl.DataFrame, contacts: Sequence[CarryingContact], words: str = ""
 ) -> tuple[Panel, ...]:

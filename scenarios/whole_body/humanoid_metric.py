@@ -12,13 +12,7 @@ from qpctrl.status import Status
 from scenarios.metric import column, rms, rms_norm, tick_metrics, whole_run_metrics
 from scenarios.record import fallback_count
 from scenarios.torque_step import torque_metrics
-from scenarios.whole_body.contact import (
-    LEAST_FORCE,
-    centre_of_pressure,
-    friction_margin,
-    pressure_margin,
-    true_wrench,
-)
+from scenarios.whole_body.contact import face_metrics, solved_pose_errors
 from scenarios.whole_body.humanoid_world import SOLES, TORSO, HumanoidWorld
 
 SLIPPED, TIPPED, DROPPED = 1.0, 1.0, 50.0
@@ -99,7 +93,7 @@ def _first(table: pl.DataFrame, mark: pl.Expr, name: str, words: str) -> list[tu
 
 
 def _of_wiping(wipe: pl.DataFrame, force: float) -> dict[str, float]:
-    pressed, pose = column(wipe, "wrench.fz"), _hand_error(wipe)
+    pressed, pose = column(wipe, "wrench.fz"), solved_pose_errors(wipe)
     if not len(pose):
         return dict.fromkeys(WIPING, float("nan"))
     error = pressed - force
@@ -116,10 +110,11 @@ def _of_wiping(wipe: pl.DataFrame, force: float) -> dict[str, float]:
 def _of_push(push: pl.DataFrame, force: float) -> dict[str, float]:
     if push.is_empty():
         return dict.fromkeys(PUSHED, float("nan"))
+    place = solved_pose_errors(push)[:, :2]
     com = np.stack([column(push, f"centre of mass.c_e.{i}") for i in range(3)], axis=1)
     return {
         "force_error_push_N": _largest(np.abs(column(push, "wrench.fz") - force)),
-        "position_error_push_mm": 1e3 * _largest(np.linalg.norm(_hand_error(push)[:, :2], axis=1)),
+        "position_error_push_mm": 1e3 * _largest(np.linalg.norm(place, axis=1)),
         "com_error_push_mm": 1e3 * _largest(np.linalg.norm(com, axis=1)),
     }
 
@@ -136,32 +131,12 @@ def _of_feet(table: pl.DataFrame, world: HumanoidWorld) -> dict[str, float]:
     motion = body_motion(table, world.robot)
     tipped = np.flatnonzero((motion.tilt > TIPPED).any(axis=1))
     flat = table[: int(tipped[0])] if len(tipped) else table  # on an edge a sole has no margins
-    judged = flat[1:]  # at the start no torque has acted
-    friction, pressure, used, moved = [], [], [], []
-    for sole in world.soles:
-        wrench, half = true_wrench(judged, sole), np.array(sole.half)
-        cone = sole.friction * np.maximum(wrench[:, 2], LEAST_FORCE)
-        used.append(np.linalg.norm(wrench[:, :2], axis=1) / cone)
-        friction.append(friction_margin(wrench, sole))
-        centre = np.abs(centre_of_pressure(wrench))
-        moved.append(np.nan_to_num((centre / half).max(axis=1), nan=1.0))  # in the air: none left
-        pressure.append(np.nan_to_num(pressure_margin(wrench, sole), nan=0.0))
     return {
         "foot_slip_max_mm": float(motion.slip.max()),
         "foot_tilt_max_deg": float(motion.tilt.max()),
         "torso_drop_max_mm": float(motion.drop.max()),
-        "friction_margin_min_N": float(np.min(friction)),
-        "cop_margin_min_mm": 1e3 * float(np.min(pressure)),
-        "friction_used_max": float(np.max(used)),
-        "pressure_used_max": float(np.max(moved)),
+        **face_metrics(flat[1:], world.soles),  # at the start no torque has acted
     }
-
-
-def _hand_error(table: pl.DataFrame) -> Matrix:
-    """Return the pose error of the hand [m, rad] at the ticks that have a solution, one a row."""
-    pose = np.stack([column(table, f"motion.X_e.{i}") for i in range(6)], axis=1)
-    solved: Matrix = pose[np.isfinite(pose).all(axis=1)]
-    return solved
 
 
 def _largest(values: Vector) -> float:

@@ -2,30 +2,26 @@
 
 from collections.abc import Mapping
 
-import numpy as np
 import polars as pl
 
 from qpctrl.arrays import Array
-from scenarios.panel import Panel
+from scenarios.panel import Panel, step_panel
 from scenarios.report_style import column
 from scenarios.report_trace import Curve, curve_figure, plane_figure
-from scenarios.torque_step import torque_steps
-from scenarios.whole_body.contact_panels import contact_panels
-from scenarios.whole_body.humanoid_metric import body_motion, what_gave_way
+from scenarios.scenario import Outcome
+from scenarios.whole_body.contact_panels import contact_panels, in_words
+from scenarios.whole_body.humanoid_metric import body_motion
 from scenarios.whole_body.humanoid_world import SOLES, HumanoidWorld
 
 AXES = ("forward", "left", "up")
 
 
-def humanoid_panels(
-    table: pl.DataFrame, geometry: Mapping[str, Array], world: HumanoidWorld
-) -> tuple[Panel, ...]:
+def humanoid_panels(outcome: Outcome, world: HumanoidWorld) -> tuple[Panel, ...]:
     """Return path and force of the hand, what the soles carry, and how the body moved."""
-    events = what_gave_way(table, world)
-    words = f"In the order of time: {'; '.join(events)}." if events else "Nothing gave way."
+    table = outcome.table
     return (
-        *_hand_panels(table, geometry),
-        *contact_panels(table, world.soles, words),
+        *_hand_panels(table, outcome.experiment.geometry),
+        *contact_panels(table, world.soles, in_words(outcome.summary["events"])),
         *_body_panels(table, world),
     )
 
@@ -71,7 +67,6 @@ def _body_panels(table: pl.DataFrame, world: HumanoidWorld) -> tuple[Panel, ...]
     ]
     slip = body_motion(table, world.robot).slip
     ways = [Curve(name.replace("_", " "), slip[:, i]) for i, name in enumerate(SOLES)]
-    steps = np.concatenate([np.zeros(1), torque_steps(table, world.robot)])
     return (
         Panel(
             "com",
@@ -87,12 +82,7 @@ def _body_panels(table: pl.DataFrame, world: HumanoidWorld) -> tuple[Panel, ...]
             curve_figure(table, "way", "mm", ways),
             True,
         ),
-        Panel(
-            "step",
-            "Step of torque from tick to tick",
-            "The largest of all joints, over what the torque-rate limit allows in one tick.",
-            curve_figure(table, "torque step", "× limit", [Curve("largest step", steps)]),
-        ),
+        step_panel(table, world.robot),
     )
 
 
